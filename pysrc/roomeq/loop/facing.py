@@ -6,14 +6,14 @@ only the features of `roomeq.loop.features.CALIBRATION_FEATURES` take part, whic
 the median over all RIRs of a source takes part, the scored ones among them: it takes out the source's response.
 """
 
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.special import logsumexp
 
 from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.core.groups import numbers_by
 from roomeq.core.jit import on_threads
 from roomeq.core.rng import rng_for
 from roomeq.effects.source_directivity import SourceDirectivity, unit_facing
@@ -87,9 +87,10 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         return data
     log_likelihood, log_alike = _log_likelihood(data, index, mean, local, residual, spread, threads)
     # RIRs that share a direct sound, which errs alike in all of them, tell as much as one
-    direct_sound = [_direct_sound(data, n) for n in range(len(data.rows))]
-    count = Counter(direct_sound)
-    share = np.array([1.0 / count[of_rir] for of_rir in direct_sound])
+    position, direct_sound = ([key(data, n) for n in range(len(data.rows))] for key in (_position, _direct_sound))
+    share = np.empty(len(data.rows))
+    for sharing in numbers_by(direct_sound).values():
+        share[sharing] = 1.0 / len(sharing)
     log_likelihood, log_alike = log_likelihood * share[:, None], log_alike * share
     facings: dict[int, FloatArray] = {}
     axis: IntArray = np.full(len(data.rows), -1)
@@ -98,8 +99,7 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
     source_of = [unit_name(row, "source") for row in data.rows]
     for source in sorted({source_of[n] for n in unknown}):
         members = [int(n) for n in unknown if source_of[n] == source]
-        by_position = _grouped(members, lambda n: _position(data, n))
-        by_direct_sound = _grouped(members, direct_sound.__getitem__)
+        by_position, by_direct_sound = (_sharing(members, keys) for keys in (position, direct_sound))
         # one that radiates alike in all directions would seem to face half away from all microphones
         of_sources = np.concatenate([log_likelihood[:, members, 0], log_alike[:, members]]).sum(axis=1)
         log_towards = float(logsumexp(of_sources) - np.log(len(of_sources)))
@@ -208,11 +208,9 @@ def _directivities(data: Data) -> list[dict[str, SourceDirectivity]]:
     return possible
 
 
-def _grouped(rirs: list[int], key: Callable[[int], tuple]) -> list[list[int]]:
-    groups: dict[tuple, list[int]] = {}
-    for n in rirs:
-        groups.setdefault(key(n), []).append(n)
-    return list(groups.values())
+def _sharing(rirs: list[int], keys: Sequence[Hashable]) -> list[list[int]]:
+    """Return some RIRs in groups that share a key; `keys` has one for each RIR of the data."""
+    return [[rirs[n] for n in group] for group in numbers_by(keys[rir] for rir in rirs).values()]
 
 
 def _position(data: Data, n: int) -> tuple:

@@ -18,7 +18,8 @@ class FacingEstimate:
     rirs, positions : int
         Number of RIRs with an unknown facing, and of positions of the loudspeaker in them.
     hypothesis : str
-        ``"towards the microphone"``; ``"fixed"``, one direction at each position; or ``"free"``, one in each recording.
+        ``"towards the microphone"``; ``"fixed"``, one direction at each position; or ``"free"``, one in each
+        recording, or in those that share a direct sound.
     evidence : dict
         Natural logarithm of the Bayes factor of each other hypothesis against ``"towards the microphone"``, which
         includes loudspeakers that radiate alike in all directions.
