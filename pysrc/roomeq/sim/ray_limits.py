@@ -139,16 +139,20 @@ def _add_up(hits: Array, codes: Array, first: Array, counts: Array, reflected: A
 
     Shapes are (n_lengths, 8) and (n_lengths, n_bands, n_largest); the largest come in falling order.
     """
-    one, n_bands = np.float32(1.0), largest.shape[1]
+    one, n_bands, n_lengths = np.float32(1.0), largest.shape[1], np.uint64(len(at_m))
     least = np.full((len(at_m), 8), np.float32(np.inf))  # of the largest, side by side, since most rays exceed none
     least[:, :n_bands] = np.float32(0.0)
+    once_or_twice = np.empty((2 * len(reflected), 8), np.float32)  # a ray may represent two from a reflection on
+    for face in range(len(reflected)):
+        once_or_twice[2 * face], once_or_twice[2 * face + 1] = reflected[face], reflected[face] + reflected[face]
     for ray in range(low, high):
         e0, e1, e2, e3, e4, e5, e6, e7 = one, one, one, one, one, one, one, one
         if len(emitted):
             e0, e1, e2, e3 = emitted[ray, 0], emitted[ray, 1], emitted[ray, 2], emitted[ray, 3]
             e4, e5, e6, e7 = emitted[ray, 4], emitted[ray, 5], emitted[ray, 6], emitted[ray, 7]
-        at, end, place = first[ray], first[ray] + counts[ray], 0
-        while at < end and place < len(at_m):
+        # a signed index costs a comparison with 0
+        at, end, place = np.uint64(first[ray]), np.uint64(first[ray] + counts[ray]), np.uint64(0)
+        while at < end and place < n_lengths:
             if at_m[place] <= hits[at, 3]:
                 total[place, 0], total[place, 1] = total[place, 0] + e0, total[place, 1] + e1
                 total[place, 2], total[place, 3] = total[place, 2] + e2, total[place, 3] + e3
@@ -160,29 +164,24 @@ def _add_up(hits: Array, codes: Array, first: Array, counts: Array, reflected: A
                     energies = (e0, e1, e2, e3, e4, e5, e6, e7)
                     for band in range(n_bands):
                         if energies[band] > least[place, band]:
-                            _insert(energies[band], largest, place, band)
+                            _insert(energies[band], largest[place, band])
                             least[place, band] = largest[place, band, -1]
-                place += 1
+                place += np.uint64(1)
             else:
-                face = codes[at] >> 2
-                e0, e1 = e0 * reflected[face, 0], e1 * reflected[face, 1]
-                e2, e3 = e2 * reflected[face, 2], e3 * reflected[face, 3]
-                e4, e5 = e4 * reflected[face, 4], e5 * reflected[face, 5]
-                e6, e7 = e6 * reflected[face, 6], e7 * reflected[face, 7]
-                if codes[at] & 2 == 2:
-                    e0, e1, e2, e3 = e0 + e0, e1 + e1, e2 + e2, e3 + e3
-                    e4, e5, e6, e7 = e4 + e4, e5 + e5, e6 + e6, e7 + e7
-                at += 1
+                rho = once_or_twice[np.uint64(codes[at] >> 1)]
+                e0, e1, e2, e3 = e0 * rho[0], e1 * rho[1], e2 * rho[2], e3 * rho[3]
+                e4, e5, e6, e7 = e4 * rho[4], e5 * rho[5], e6 * rho[6], e7 * rho[7]
+                at += np.uint64(1)
 
 
 @inlined
-def _insert(energy: Number, largest: Array, place: Number, band: Number) -> None:
+def _insert(energy: Number, largest: Array) -> None:
     """Put an energy into a list in falling order, whose last one it exceeds and replaces."""
-    n = largest.shape[2] - 1
-    while n > 0 and energy > largest[place, band, n - 1]:
-        largest[place, band, n] = largest[place, band, n - 1]
+    n = len(largest) - 1
+    while n > 0 and energy > largest[n - 1]:
+        largest[n] = largest[n - 1]
         n -= 1
-    largest[place, band, n] = energy
+    largest[n] = energy
 
 
 def _winsorized(total: FloatArray, largest: Array, fewest: int) -> FloatArray:

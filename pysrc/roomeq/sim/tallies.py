@@ -50,12 +50,14 @@ def tally_reflections(paths: "Paths") -> Tallies:
 def _tally(codes: Array, face_surface: Array, first: Array, counts: Array, tallies: Tallies, low: Number,
            high: Number) -> None:
     """Count hits per surface along rays `low` to `high`."""
-    words, words_of, shifts = tallies.words, tallies.word, tallies.shift
-    so_far = np.empty(words.shape[1], np.uint64)
-    for ray in range(low, high):
-        so_far[:] = np.uint64(0)
-        for at in range(first[ray], first[ray] + counts[ray]):
-            surface = face_surface[codes[at] >> 2]
-            so_far[words_of[surface]] += np.uint64(1) << shifts[surface]
-            for word in range(len(so_far)):
-                words[at, word] = so_far[word]
+    words, one = tallies.words, np.uint64(1)
+    for word in range(words.shape[1]):
+        increment = np.zeros(len(face_surface), np.uint64)
+        for face, surface in enumerate(face_surface):
+            if tallies.word[surface] == word:
+                increment[face] = one << tallies.shift[surface]
+        for ray in range(low, high):
+            so_far = np.uint64(0)
+            for at in range(np.uint64(first[ray]), np.uint64(first[ray] + counts[ray])):  # unsigned is faster
+                so_far += increment[np.uint64(codes[at] >> 2)]
+                words[at, word] = so_far
