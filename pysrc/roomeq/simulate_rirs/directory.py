@@ -20,6 +20,7 @@ from roomeq.core.audio import write_wav
 from roomeq.core.build import Build
 from roomeq.core.constants import BANDS_HZ
 from roomeq.core.files import write_text
+from roomeq.core.groups import numbers_by
 from roomeq.core.rng import rng_for
 from roomeq.draw_rooms.draw import draw_room, room_id
 from roomeq.draw_rooms.room_types import RoomType, types_file
@@ -34,11 +35,11 @@ from roomeq.sim.ray_limits import FEW_RAYS_DB, FEWEST_TO_TELL
 from roomeq.sim.scene import Air, Shoebox, require_apart, with_absorption
 from roomeq.simulate_rirs.drawn_room import MESHES, render_drawn_room, table_of_type
 from roomeq.simulate_rirs.options import RenderOptions
-from roomeq.simulate_rirs.source import Member, RenderedRir, channels_of, render_source, source_directivity
+from roomeq.simulate_rirs.source import Member, RenderedRir, channels_of, render_rows, source_directivity
 
 logger = logging.getLogger(__name__)
 
-ROWS_PER_ITEM = 32  # responses of one source that are rendered together: one trace, and little to repeat when killed
+ROWS_PER_ITEM = 32  # of a room, rendered together: sources are traced once, and there is little to repeat when killed
 _KEPT_KEYS = ("room_id", "source_id", "mic_id", "source_dir", "mic_dir", "room_type", "corpus",
               "source_directivity")
 
@@ -54,12 +55,12 @@ def make(build: Build, measured_dir: Path, rows: list[RirRow], materials: Path |
     """
     table = read_materials(materials)
     effects = _model_of_responses(model)
-    groups = _group_by_source(rows, measured_dir, effects, draw_devices, options.seed)
+    groups = _group_by_room(rows, measured_dir, effects, draw_devices, options.seed)
 
     def simulate_group(_: str, members: list[Member]) -> list[dict]:
         air = _declared_air(members[0].row)
         return [_write_rir(build.work, rendered, air, options, True)
-                for rendered in render_source(members, air, table, effects, options)]
+                for rendered in render_rows(members, air, table, effects, options)]
 
     def assemble(directory: Path, records: list[list[dict]]) -> None:
         rows = with_meshes_relocated((row for record in records for row in record), measured_dir, build.out)
@@ -138,9 +139,9 @@ def _rooms_by_type(rows: list[RirRow]) -> Counter[str]:
     return Counter(dict((row["room_id"], row.get("room_type") or "") for row in rows).values())
 
 
-def _group_by_source(rows: list[RirRow], directory: Path, model: Model, draw_devices: bool, seed: int
-                     ) -> dict[str, list[Member]]:
-    """Return at most `ROWS_PER_ITEM` rows of one source each, by the id of the first row.
+def _group_by_room(rows: list[RirRow], directory: Path, model: Model, draw_devices: bool, seed: int
+                   ) -> dict[str, list[Member]]:
+    """Return at most `ROWS_PER_ITEM` rows of one room each, source by source, by the id of the first row.
 
     A directivity of the model needs to know where sources face. Where a row does not state it, that is the direction
     in which the loop has found the source to face, or that of the microphone, which the loop assumes otherwise. With
@@ -177,8 +178,7 @@ def _group_by_source(rows: list[RirRow], directory: Path, model: Model, draw_dev
             logger.debug("%s: drawn or moved: %s", row["id"], ", ".join(place.drawn))
         n_unknown_arrays += bool(row.get("channel_pos_m") and not place.channels_m)
         materials = json.dumps(row.get("materials"), sort_keys=True)  # a trace serves one set of scattering
-        key = row["room_id"], place.room, place.source_pos_m, _declared_air(row), materials
-        groups[key].append(Member(row, place))
+        groups[row["room_id"], place.room, _declared_air(row), materials].append(Member(row, place))
     if n_with_heights := sum(one is not other for one, other in zip(given, rows, strict=True)):
         logger.info("%s: %d of %d RIRs do not state the height of their source or microphone: it is as the closed loop "
                     "has found", directory, n_with_heights, len(rows))
@@ -196,8 +196,20 @@ def _group_by_source(rows: list[RirRow], directory: Path, model: Model, draw_dev
     if n_unknown_arrays:
         logger.info("%s: %d RIRs are of arrays with unknown coordinates in channel_pos_m: only their first microphone "
                     "is simulated", directory, n_unknown_arrays)
-    return {members[first].row["id"]: members[first:first + ROWS_PER_ITEM]
-            for members in groups.values() for first in range(0, len(members), ROWS_PER_ITEM)}
+    return {item[0].row["id"]: item for members in groups.values() for item in _items_of_room(members)}
+
+
+def _items_of_room(members: list[Member]) -> list[list[Member]]:
+    """Divide the rows of a room between items; only a source of more than `ROWS_PER_ITEM` rows is in several."""
+    items: list[list[Member]] = []
+    for numbers in numbers_by(member.place.source_pos_m for member in members).values():
+        for first in range(0, len(numbers), ROWS_PER_ITEM):
+            of_source = [members[n] for n in numbers[first:first + ROWS_PER_ITEM]]
+            if items and len(items[-1]) + len(of_source) <= ROWS_PER_ITEM:
+                items[-1] += of_source
+            else:
+                items.append(of_source)
+    return items
 
 
 def _drawn_facing(rir_id: str, seed: int) -> list[float]:

@@ -1,4 +1,4 @@
-"""Render the responses of one source: draw materials, trace once, meet the targets, render the noise sources."""
+"""Render the responses of a room: draw materials, trace each source once, meet the targets, render noise sources."""
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -11,6 +11,7 @@ import numpy as np
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import BANDS_HZ
+from roomeq.core.groups import numbers_by
 from roomeq.core.rng import rng_for
 from roomeq.effects.base import Effect
 from roomeq.effects.model import Model, extend_scene, path_gain
@@ -103,14 +104,14 @@ class SceneDraw:
     """How many targets were given up before."""
 
 
-def render_source(members: list[Member], air: Air, table: MaterialTable, model: Model,
-                  options: RenderOptions) -> list[RenderedRir]:
-    """Render rows that share room, source position, air and stated materials.
+def render_rows(members: list[Member], air: Air, table: MaterialTable, model: Model,
+                options: RenderOptions) -> list[RenderedRir]:
+    """Render rows that share room, air and stated materials.
 
     Returns
     -------
     list of RenderedRir
-        For each row its response, followed by those of its noise sources.
+        Source by source, for each row its response, followed by those of its noise sources.
 
     Raises
     ------
@@ -121,13 +122,20 @@ def render_source(members: list[Member], air: Air, table: MaterialTable, model: 
     first = members[0]
     room = TracedRoom(first.place.room, first.row["room_id"], _stated_surfaces(first, table), air, table, effects[0],
                       options)
+    rendered: list[RenderedRir] = []
+    for numbers in numbers_by(member.place.source_pos_m for member in members).values():
+        rendered += _render_source(room, [members[n] for n in numbers], [effects[n] for n in numbers])
+    return with_noises(room, rendered)
+
+
+def _render_source(room: "TracedRoom", members: list[Member], effects: list[list[Effect]]) -> list[RenderedRir]:
+    """Render the rows of one source."""
     draws = [room.draw_scenes(member.row) for member in members]
     first_draws = [next(of_row) for of_row in draws]
-    room.share_trace(first.place.source_pos_m, [(draw.scene.absorption, draw.target_s, draw.length_s)
-                                                for draw in first_draws])
-    return with_noises(room, [
-        _render_row(room, member, of_row, chain([draw], further))
-        for member, of_row, draw, further in zip(members, effects, first_draws, draws, strict=True)])
+    room.share_trace(members[0].place.source_pos_m, [(draw.scene.absorption, draw.target_s, draw.length_s)
+                                                     for draw in first_draws])
+    return [_render_row(room, member, of_row, chain([draw], further))
+            for member, of_row, draw, further in zip(members, effects, first_draws, draws, strict=True)]
 
 
 def with_noises(room: "TracedRoom", rendered: list[RenderedRir]) -> list[RenderedRir]:
