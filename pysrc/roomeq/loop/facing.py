@@ -265,17 +265,24 @@ def with_facings(data: Data, facings: Mapping[int, FloatArray], *, resample: boo
         by_trace.setdefault(id(data.traced[n]), []).append(n)
 
     def turn(members: list[int]) -> None:
-        traced, mics_m = data.traced[members[0]].load(), np.array([data.places[n].mic_pos_m for n in members])
-        of_members = [facings[n] for n in members]
-        for n, table in zip(members, collect(traced, mics_m, of_members), strict=True):
+        turned = [n for n in members if not _is(tables[n].facing, facings[n])]
+        if not turned:  # an estimate that is repeated often comes out as before
+            return
+        traced, mics_m = data.traced[members[0]].load(), np.array([data.places[n].mic_pos_m for n in turned])
+        of_turned = [facings[n] for n in turned]
+        for n, table in zip(turned, collect(traced, mics_m, of_turned), strict=True):
             tables[n] = table
         if not resample:
             return
         decays_s = decay_range_s(data.features[members], data.valid[members], LENGTHS_S[0]) or UNKNOWN_DECAYS_S
-        drawn = draw_path_samples(traced, mics_m, of_members, decays_s,
-                                  [rng_for(data.seed, "loop paths", data.rows[n]["id"]) for n in members])
-        for n, sample in zip(members, data.traced[members[0]].file.store_samples(drawn), strict=True):
+        drawn = draw_path_samples(traced, mics_m, of_turned, decays_s,
+                                  [rng_for(data.seed, "loop paths", data.rows[n]["id"]) for n in turned])
+        for n, sample in zip(turned, data.traced[members[0]].file.store_samples(drawn), strict=True):
             path_samples[n] = sample
 
     on_threads(turn, [(members,) for members in by_trace.values()], threads)
     return replace(data, rows=rows, tables=tables, path_samples=path_samples)
+
+
+def _is(facing: FloatArray | None, other: FloatArray) -> bool:
+    return facing is not None and np.array_equal(facing, other)

@@ -67,6 +67,8 @@ class Table:
         Whether the direct sound arrives.
     direct_angle : float
         Between the direct sound's departure and the direction that the source faces [rad]; 0 where that is unknown.
+    facing : ndarray, shape (3,), or None
+        That direction.
     """
 
     entries: IntArray
@@ -75,6 +77,7 @@ class Table:
     distance_m: float
     visible: bool
     direct_angle: float
+    facing: FloatArray | None
 
 
 class _Rays(NamedTuple):
@@ -154,7 +157,7 @@ def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArra
         counts /= 4.0 * np.pi * len(paths.counts)
         tables.append(Table(np.ascontiguousarray(entries, np.int32), counts.astype(np.float32),
                             None if facing is None else angular.astype(np.float32), distance_m, bool(sees[m]),
-                            direct_angle))
+                            direct_angle, facing))
     return tables
 
 
