@@ -7,6 +7,8 @@ ringing and the rounding of a resampler, or a codec's noise. What a response fal
 no noise either: it follows the sign of the response, and so decays in one band while another holds it up.
 """
 
+from functools import reduce
+
 import numpy as np
 
 from roomeq.acoustics.decay_kernels import strongest_power
@@ -50,7 +52,8 @@ def length_before_silence(rir: FloatArray, fs_hz: float) -> int:
     fs_hz
         Sample rate.
     """
-    n_samples = len(np.trim_zeros(rir, "b"))
+    sounds = rir[::-1] != 0.0
+    n_samples = len(rir) - int(np.argmax(sounds)) if sounds.any() else 0
     power = np.square(np.diff(rir[:n_samples]))  # the difference takes out rumble, whose level scatters
     for block_s in _BLOCKS_S:
         n_block = round(block_s * fs_hz)
@@ -94,11 +97,12 @@ def _fall_at_once_db(level_db: FloatArray) -> FloatArray:
     It falls from the least of `_N_BEFORE` blocks to the largest of all behind the block, of which there are `_N_AFTER`
     at least.
     """
-    before = np.lib.stride_tricks.sliding_window_view(level_db, _N_BEFORE)[:-1 - _N_AFTER]
-    after_db = np.maximum.accumulate(level_db[::-1])[::-1][_N_BEFORE + 1:len(before) + _N_BEFORE + 1]
-    falls_before_db = np.maximum(before[:, 0] - before[:, -1], 0.0) * 2.0 / (_N_BEFORE - 1)  # within two blocks
-    falls_after_db = after_db - np.median(level_db[-_N_AFTER:])
-    return np.asarray(before.min(axis=1) - after_db - falls_before_db - falls_after_db)
+    n = len(level_db) - _N_BEFORE - _N_AFTER
+    before = [level_db[first:first + n] for first in range(_N_BEFORE)]  # of each block
+    after_db = np.maximum.accumulate(level_db[::-1])[::-1][_N_BEFORE + 1:n + _N_BEFORE + 1]
+    falls_before_db = np.maximum(before[0] - before[-1], 0.0) * 2.0 / (_N_BEFORE - 1)  # within two blocks
+    falls_after_db = after_db - np.sort(level_db[-_N_AFTER:])[_N_AFTER // 2 - 1:_N_AFTER // 2 + 1].mean()  # the median
+    return np.asarray(reduce(np.minimum, before) - after_db - falls_before_db - falls_after_db)
 
 
 def length_before_fade(rir: FloatArray, fs_hz: float, direct_sample: float) -> int:
