@@ -297,6 +297,23 @@ def test_bytes_do_not_depend_on_whether_responses_share_a_trace(mesh, tmp_path, 
     assert hashes(tmp_path / "shared") == hashes(tmp_path / "alone")
 
 
+@pytest.mark.parametrize(("rows_per_item", "n_traces"), [(8, 3), (4, 4), (3, 4)])
+def test_noise_source_of_several_loudspeakers_is_traced_once_and_bytes_do_not_depend_on_it(
+        rows_per_item, n_traces, tmp_path, monkeypatch):
+    (tmp_path / "measured").mkdir()
+    write_jsonl(tmp_path / "measured" / "rirs.jsonl", [
+        measured_row(f"s{s}m{n}", source_id=f"s{s}", source_pos_m=[5.0, 1.0 + s, 1.5],
+                     mic_pos_m=[1.0 + n / 4, 3.5, 1.5]) for s in range(2) for n in range(4)])
+    run(tmp_path / "measured", tmp_path / "usual")
+    calls = []
+    monkeypatch.setattr(source, "trace_every_ray", lambda **how: calls.append(how) or trace_every_ray(**how))
+    monkeypatch.setattr(source, "_SHARED_FROM", 1.5)  # so that any two responses share a trace
+    monkeypatch.setattr(directory, "ROWS_PER_ITEM", rows_per_item)
+    run(tmp_path / "measured", tmp_path / "other")
+    assert len(calls) == n_traces
+    assert hashes(tmp_path / "usual") == hashes(tmp_path / "other")
+
+
 def test_decays_slower_than_eyring_are_not_cut_off(tmp_path):
     """Between reflecting walls, below an absorbing ceiling, sound decays for far longer than in a diffuse field."""
     surfaces = {surface: dict(absorption=0.6 if surface in ("floor", "ceiling") else 0.05, scattering=0.1)
