@@ -266,7 +266,7 @@ def with_facings(data: Data, facings: Mapping[int, FloatArray], *, resample: boo
 
     def turn(members: list[int]) -> None:
         turned = [n for n in members if not _is(tables[n].facing, facings[n])]
-        if not turned:  # an estimate that is repeated often comes out as before
+        if not turned:  # an estimate that is made again often finds the same
             return
         traced, mics_m = data.traced[members[0]].load(), np.array([data.places[n].mic_pos_m for n in turned])
         of_turned = [facings[n] for n in turned]
