@@ -265,7 +265,7 @@ def with_facings(data: Data, facings: Mapping[int, FloatArray], *, resample: boo
         by_trace.setdefault(id(data.traced[n]), []).append(n)
 
     def turn(members: list[int]) -> None:
-        turned = [n for n in members if not _is(tables[n].facing, facings[n])]
+        turned = [n for n in members if (facing := tables[n].facing) is None or not np.array_equal(facing, facings[n])]
         if not turned:  # an estimate that is made again often finds the same
             return
         traced, mics_m = data.traced[members[0]].load(), np.array([data.places[n].mic_pos_m for n in turned])
@@ -282,7 +282,3 @@ def with_facings(data: Data, facings: Mapping[int, FloatArray], *, resample: boo
 
     on_threads(turn, [(members,) for members in by_trace.values()], threads)
     return replace(data, rows=rows, tables=tables, path_samples=path_samples)
-
-
-def _is(facing: FloatArray | None, other: FloatArray) -> bool:
-    return facing is not None and np.array_equal(facing, other)
