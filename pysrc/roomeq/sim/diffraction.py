@@ -376,11 +376,13 @@ def deposit(grid: Grid, edges: Edges, edge: IntArray, low_m: FloatArray, high_m:
     on = (source[1] <= wedge) & (mic[1] <= wedge) & (source[0] > 1e-6) & (mic[0] > 1e-6)
     source, mic = source[:, on], mic[:, on]
     bounds = np.stack([_eta(low_m[on], source, mic), _eta(high_m[on], source, mic)])
-    # of a stretch, most sound takes the shortest way
-    shortest_m = np.clip((source[0] * mic[2] + mic[0] * source[2]) / (source[0] + mic[0]), low_m[on], high_m[on])
-    point_m = edges.start_m[edge[on]] + shortest_m[:, None] * edges.along[edge[on]]
+    way = np.empty((np.count_nonzero(on), 0))
+    if len(grid.ways):  # of a stretch, most sound takes the shortest way
+        shortest_m = np.clip((source[0] * mic[2] + mic[0] * source[2]) / (source[0] + mic[0]), low_m[on], high_m[on])
+        point_m = edges.start_m[edge[on]] + shortest_m[:, None] * edges.along[edge[on]]
+        way = departures_and_arrivals(point_m, point_m, source_pos_m, mic_pos_m)
     _deposit(grid.fine, grid.ways, float(grid.first_sample), bounds, source, mic, wedge[on], edges.surfaces[edge[on]],
-             departures_and_arrivals(point_m, point_m, source_pos_m, mic_pos_m), 1.0 / grid.sample_m, direct_visible)
+             way, 1.0 / grid.sample_m, direct_visible)
 
 
 def _eta(z: FloatArray, source: FloatArray, mic: FloatArray) -> FloatArray:

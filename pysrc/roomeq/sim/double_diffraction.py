@@ -91,20 +91,39 @@ def find_double_paths(room: "MeshRoom", edges: "Edges", pieces: Pieces, source_p
         Index of the first piece, which the source sees, and of the second, which the microphone sees; then which face
         (0 or 1) of the first edge, and which of the second edge, is the common face.
     """
-    first, second = np.flatnonzero(seen_by_source), np.flatnonzero(seen_by_mic)
     point_m, length_m = pieces.point_m, pieces.high_m - pieces.low_m
-    weights = (length_m / np.linalg.norm(point_m - np.asarray(end_m), axis=1) for end_m in (source_pos_m, mic_pos_m))
-    paths, weight = _pairs(first, _ranges(pieces.edge[first], len(edges)), second,
-                           _ranges(pieces.edge[second], len(edges)), edges.faces, *_sides_of_faces(edges.faces),
-                           point_m, *weights)
-    if len(paths) > MAX_PATHS:
+    first, second = (_Ends(seen, _ranges(pieces.edge[seen], len(edges)),
+                           length_m / np.linalg.norm(point_m - np.asarray(end_m), axis=1))
+                     for seen, end_m in ((np.flatnonzero(seen_by_source), source_pos_m),
+                                         (np.flatnonzero(seen_by_mic), mic_pos_m)))
+    of_edges = _pairs_of_edges(first.of_edge, second.of_edge, edges.faces, *_sides_of_faces(edges.faces))
+    weight = _weights(of_edges, first, second, point_m)
+    limit, n_at_limit = 0.0, 0
+    if len(weight) > MAX_PATHS:
         logger.debug("%d pairs of pieces of edges share a face: only the %d of the largest weight are computed",
-                     len(paths), MAX_PATHS)
+                     len(weight), MAX_PATHS)
         limit = np.partition(weight, -MAX_PATHS)[-MAX_PATHS]
-        kept = weight > limit
-        kept[np.flatnonzero(weight == limit)[:MAX_PATHS - np.count_nonzero(kept)]] = True
-        paths = paths[kept]
+        n_at_limit = MAX_PATHS - int(np.count_nonzero(weight > limit))
+    paths = _heaviest(of_edges, first, second, weight, limit, n_at_limit)
     return paths[room.sees(point_m[paths[:, 0]], point_m[paths[:, 1]])] if len(paths) else paths
+
+
+class _Ends(NamedTuple):
+    """Pieces that one end of the paths sees.
+
+    Attributes
+    ----------
+    pieces : ndarray of int
+        Their numbers, ascending.
+    of_edge : ndarray of int, shape (n_edges + 1,)
+        Where those of each edge begin in `pieces`, and the length of `pieces`.
+    angle : ndarray, shape (n_pieces,)
+        Length of every piece over its distance from that end.
+    """
+
+    pieces: IntArray
+    of_edge: IntArray
+    angle: FloatArray
 
 
 def _ranges(number: IntArray, count: int) -> IntArray:
@@ -119,38 +138,74 @@ def _sides_of_faces(faces: IntArray) -> tuple[IntArray, IntArray]:
 
 
 @compiled
-def _pairs(first: Array, first_of_edge: Array, second: Array, second_of_edge: Array, faces: Array, sides: Array,
-           sides_of_face: Array, point_m: Array, to_source: Array, to_mic: Array) -> tuple[Array, Array]:
-    """Return all paths, and the weight of each (see `find_double_paths`) [1/m].
+def _pairs_of_edges(first_of_edge: IntArray, second_of_edge: IntArray, faces: IntArray, sides: IntArray,
+                    sides_of_face: IntArray) -> IntArray:
+    """Return the edges of the same face of which one end sees the first and the other the second, shape (n, 4).
 
-    `to_source` and `to_mic` are the lengths of the pieces over their distances from the source and the microphone.
+    Each row has the first edge and which of its faces it is, and the same of the second one.
     """
     count = 0
     for fills in (False, True):
-        paths, weight = np.empty((count if fills else 0, 4), np.int64), np.empty(count if fills else 0)
-        count = 0
+        pairs, count = np.empty((count if fills else 0, 4), np.int64), 0
         for edge_1 in range(len(faces)):
             if first_of_edge[edge_1] == first_of_edge[edge_1 + 1]:
                 continue
             for side_1 in range(2):
                 face = faces[edge_1, side_1]
                 for n in range(sides_of_face[face], sides_of_face[face + 1]):
-                    edge_2, side_2 = sides[n] // 2, sides[n] % 2
-                    low, high = second_of_edge[edge_2], second_of_edge[edge_2 + 1]
-                    if edge_2 == edge_1 or low == high:
+                    edge_2 = sides[n] // 2
+                    if edge_2 == edge_1 or second_of_edge[edge_2] == second_of_edge[edge_2 + 1]:
                         continue
-                    if not fills:
-                        count += (first_of_edge[edge_1 + 1] - first_of_edge[edge_1]) * (high - low)
-                        continue
-                    for i in range(first_of_edge[edge_1], first_of_edge[edge_1 + 1]):
-                        for j in range(low, high):
-                            p, q, squared = first[i], second[j], 0.0
-                            for axis in range(3):
-                                squared += (point_m[p, axis] - point_m[q, axis]) ** 2
-                            paths[count, 0], paths[count, 1], paths[count, 2], paths[count, 3] = p, q, side_1, side_2
-                            weight[count] = to_source[p] * to_mic[q] / np.sqrt(max(squared, 1e-12))
-                            count += 1
-    return paths, weight
+                    if fills:
+                        pairs[count, 0], pairs[count, 1], pairs[count, 2] = edge_1, side_1, edge_2
+                        pairs[count, 3] = sides[n] % 2
+                    count += 1
+    return pairs
+
+
+@compiled
+def _weights(of_edges: IntArray, first: _Ends, second: _Ends, point_m: FloatArray) -> FloatArray:
+    """Return the weight of each path, those of `_pairs_of_edges` one after the other (see `find_double_paths`) [1/m].
+    """
+    count = 0
+    for n in range(len(of_edges)):
+        edge_1, edge_2 = of_edges[n, 0], of_edges[n, 2]
+        count += ((first.of_edge[edge_1 + 1] - first.of_edge[edge_1])
+                  * (second.of_edge[edge_2 + 1] - second.of_edge[edge_2]))
+    weight, count = np.empty(count), 0
+    for n in range(len(of_edges)):
+        edge_1, edge_2 = of_edges[n, 0], of_edges[n, 2]
+        for i in range(first.of_edge[edge_1], first.of_edge[edge_1 + 1]):
+            p = first.pieces[i]
+            for j in range(second.of_edge[edge_2], second.of_edge[edge_2 + 1]):
+                q, squared = second.pieces[j], 0.0
+                for axis in range(3):
+                    squared += (point_m[p, axis] - point_m[q, axis]) ** 2
+                weight[count] = first.angle[p] * second.angle[q] / np.sqrt(max(squared, 1e-12))
+                count += 1
+    return weight
+
+
+@compiled
+def _heaviest(of_edges: IntArray, first: _Ends, second: _Ends, weight: FloatArray, limit: float, n_at_limit: int
+              ) -> IntArray:
+    """Return the paths whose weight is above a limit, and the first `n_at_limit` of those at it; see
+    `find_double_paths`.
+    """
+    paths = np.empty((np.sum(weight > limit) + n_at_limit, 4), np.int64)
+    count = at = 0
+    for n in range(len(of_edges)):
+        edge_1, edge_2 = of_edges[n, 0], of_edges[n, 2]
+        for i in range(first.of_edge[edge_1], first.of_edge[edge_1 + 1]):
+            for j in range(second.of_edge[edge_2], second.of_edge[edge_2 + 1]):
+                at_limit = weight[at] == limit and n_at_limit > 0
+                if weight[at] > limit or at_limit:
+                    paths[count, 0], paths[count, 1] = first.pieces[i], second.pieces[j]
+                    paths[count, 2], paths[count, 3] = of_edges[n, 1], of_edges[n, 3]
+                    count += 1
+                    n_at_limit -= 1 if at_limit else 0
+                at += 1
+    return paths
 
 
 def deposit_double_diffraction(fine: FloatArray, ways: FloatArray, first_sample: int, paths: IntArray, edges: "Edges",
@@ -182,7 +237,9 @@ def deposit_double_diffraction(fine: FloatArray, ways: FloatArray, first_sample:
     edge, low, high, _, _ = pieces
     geometry = np.stack([edges.start_m, edges.along], axis=1)
     source, mic = edges.coordinates(source_pos_m), edges.coordinates(mic_pos_m)
-    way = departures_and_arrivals(pieces.point_m[paths[:, 0]], pieces.point_m[paths[:, 1]], source_pos_m, mic_pos_m)
+    way = np.empty((len(paths), 0))
+    if len(ways):
+        way = departures_and_arrivals(pieces.point_m[paths[:, 0]], pieces.point_m[paths[:, 1]], source_pos_m, mic_pos_m)
     _deposit(fine, ways, float(first_sample), paths, way, edge, low, high, geometry, np.pi / edges.wedge_rad,
              _ends(source, edges.wedge_rad), _ends(mic, edges.wedge_rad), edges.surfaces,
              float(np.linalg.norm(np.subtract(source_pos_m, mic_pos_m))), 1.0 / sample_m, float(oversampling))
