@@ -35,7 +35,7 @@ logger = logging.getLogger(__name__)
 
 MAX_PATHS = 15_000  # largest number of pairs of pieces
 _STEP_SAMPLES = 1.0  # largest change of the arrival time within a step
-_MIN_PRESSURE = 1e-4  # relative to the free-field direct sound; a weaker pair of pieces is integrated in one step
+_MIN_PRESSURE = 3e-4  # relative to the free-field direct sound; a weaker pair of pieces is integrated in one step
 _MIN_RADIUS_M = 1e-6  # points closer to the line of an edge are skipped
 _MIN_SEPARATION_M = 0.005  # closer edges are divided into steps as if they were this far apart
 _FINENESS = 0.5  # length of the steps near a peak of beta, relative to its distance, or within it to its width
