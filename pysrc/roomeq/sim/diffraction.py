@@ -345,9 +345,10 @@ class Grid:
         used = np.flatnonzero(self.fine.any(axis=0))
         if not len(used):
             return None
-        signals = scipy.signal.upfirdn(_lowpass(), self.fine[:, :used[-1] + 1], down=_OVERSAMPLING, axis=1)
+        signals = scipy.signal.fftconvolve(self.fine[:, :used[-1] + 1], _lowpass()[None], axes=1)[:, ::_OVERSAMPLING]
         if not len(self.ways):
             return Diffracted(self.first_sample - _SINC_HALF, signals)
+        # without a transform, whose rounding would point somewhere where there is no sound
         ways = scipy.signal.upfirdn(_average(), self.ways[:, :used[-1] + 1], down=_OVERSAMPLING, axis=1)
         departure, arrival = (way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), np.finfo(float).tiny)
                               for way in (ways[:3].T, ways[3:].T))
