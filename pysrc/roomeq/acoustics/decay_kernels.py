@@ -7,12 +7,15 @@ from roomeq.core.jit import compiled
 
 
 @compiled
-def net_energy(power: FloatArray, noise_power: float) -> FloatArray:
-    """Return the energy of a power from each sample to the end, less that of the noise."""
-    energy, total = np.empty(len(power)), 0.0
-    for n in range(len(power) - 1, -1, -1):
-        total += power[n] - noise_power
-        energy[n] = total
+def net_energy(remaining: FloatArray, noise_power: float) -> FloatArray:
+    """Return the energy from each sample to the last one, less that of the noise.
+
+    `remaining` is that of `roomeq.acoustics.noise_intersection.remaining_energy` up to and with the last one.
+    """
+    n_samples = len(remaining) - 1
+    energy = np.empty(n_samples)
+    for n in range(n_samples):
+        energy[n] = remaining[n] - remaining[n_samples] - noise_power * (n_samples - n)
     return energy
 
 

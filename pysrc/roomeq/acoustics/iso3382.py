@@ -34,7 +34,13 @@ from roomeq.acoustics.decay_kernels import first_below, net_energy, slope, stron
 from roomeq.acoustics.decibels import TINY_POWER, power_db
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.fade import length_before_fade
-from roomeq.acoustics.noise_intersection import NOISE_MARGIN_DB, NoiseIntersection, dot, find_noise_intersection
+from roomeq.acoustics.noise_intersection import (
+    NOISE_MARGIN_DB,
+    NoiseIntersection,
+    dot,
+    find_noise_intersection,
+    remaining_energy,
+)
 from roomeq.acoustics.octaves import LEAD_S, octave_bands, octave_fft_size, octave_power_gains, octave_width_hz
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import exact_bands_hz
@@ -71,12 +77,15 @@ class Decay:
         noise floor.
     intersection
         Intersection of the decay with the noise, in samples after the direct sound.
+    beyond
+        Sum of the squared response from there on.
     """
 
     edc: FloatArray
     range_db: float
     noise_floor_db: float | None
     intersection: NoiseIntersection
+    beyond: float
 
     @cached_property
     def edc_db(self) -> FloatArray:
@@ -111,33 +120,36 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float, *, bandwi
     power = np.square(band)
     before = power[max(0, start - round(LEAD_S * fs_hz)):start]
     after = power[start:]
+    remaining = remaining_energy(after)
     intersection = (NoiseIntersection(len(after), 0.0, 0.0, is_flat=False) if noiseless
-                    else find_noise_intersection(after, fs_hz, bandwidth_hz))
-    energy = net_energy(after[:intersection.sample], intersection.noise_power) + intersection.rest_energy
+                    else find_noise_intersection(remaining, fs_hz, bandwidth_hz))
+    energy = net_energy(remaining[:intersection.sample + 1], intersection.noise_power) + intersection.rest_energy
     total = energy[0] + before.sum()
     energy[0] = total
-    rest = max(intersection.rest_energy, _unexplained_energy(after, intersection, fs_hz, bandwidth_hz or 0.5 * fs_hz))
+    rest = max(intersection.rest_energy,
+               _unexplained_energy(remaining, intersection, fs_hz, bandwidth_hz or 0.5 * fs_hz))
     range_db = float(power_db(total) - power_db(rest)) if rest > 0.0 else np.inf
     if intersection.noise_power > 0.0 and intersection.rest_energy == 0.0:
         range_db = 0.0
     n_block = max(1, round(0.005 * fs_hz))
     floor_db = float(power_db(intersection.noise_power)
                      - power_db(strongest_power(after[:20 * n_block], n_block))) if intersection.is_flat else None
-    return Decay(energy / max(total, TINY_POWER), range_db, floor_db, intersection)
+    return Decay(energy / max(total, TINY_POWER), range_db, floor_db, intersection,
+                 float(remaining[intersection.sample]))
 
 
-def _unexplained_energy(power: FloatArray, intersection: NoiseIntersection, fs_hz: float, bandwidth_hz: float) -> float:
+def _unexplained_energy(remaining: FloatArray, intersection: NoiseIntersection, fs_hz: float, bandwidth_hz: float
+                        ) -> float:
     """Return the largest energy within any time after the intersection that the noise does not explain.
 
     Noise may exceed its mean by `_NOISE_DEVIATIONS`, both there and in the last tenth, where it is measured. More is
     there where it ends the fitted decay too early: where its level fluctuates, as that of a fan or of traffic.
     """
     n_block = round(_BLOCK_S * fs_hz)
-    beyond = power[intersection.sample:]
-    blocks = beyond[:len(beyond) // n_block * n_block].reshape(-1, n_block).sum(axis=1)
-    length = n_block * np.arange(1.0, len(blocks) + 1.0)
-    deviation = np.sqrt(fs_hz / bandwidth_hz * (1.0 / length + 10.0 / len(power)))
-    excess = np.cumsum(blocks) - intersection.noise_power * length * (1.0 + _NOISE_DEVIATIONS * deviation)
+    beyond = remaining[intersection.sample::n_block]
+    length = n_block * np.arange(1.0, len(beyond))
+    deviation = np.sqrt(fs_hz / bandwidth_hz * (1.0 / length + 10.0 / (len(remaining) - 1)))
+    excess = beyond[0] - beyond[1:] - intersection.noise_power * length * (1.0 + _NOISE_DEVIATIONS * deviation)
     return float(np.max(excess, initial=0.0))
 
 
@@ -249,7 +261,7 @@ def _band_metrics(spectra: _Spectra, band: int, curve: Decay, direct_sample: flo
         row[f"{decay}_s"] = time_s
         row[f"{decay}_valid"] = bool(time_s is not None and curve.range_db >= NOISE_MARGIN_DB - DECAYS_DB[decay][1]
                                      and exact_bands_hz(fs_hz)[band] * np.sqrt(0.5) * shortest_s > MIN_BT)
-    row["c50_db"] = _c50_db(spectra, band, direct_sample, curve.intersection)
+    row["c50_db"] = _c50_db(spectra, band, direct_sample, curve)
     # C50 is early relative to late energy: if it is large, late energy is nearly C50 below the total; the noise must
     # be below that by a margin
     row["c50_valid"] = bool(row["c50_db"] is not None
@@ -260,20 +272,22 @@ def _band_metrics(spectra: _Spectra, band: int, curve: Decay, direct_sample: flo
     return row
 
 
-def _c50_db(spectra: _Spectra, band: int, direct_sample: float, intersection: NoiseIntersection) -> float | None:
+def _c50_db(spectra: _Spectra, band: int, direct_sample: float, curve: Decay) -> float | None:
     """Return the early-to-late energy ratio of one octave band; None if a part has no energy.
 
     The response is divided before it is filtered, because the filter would spread energy over the boundary. What comes
-    before the direct sound by more than `LEAD_S` is another sound, or noise.
+    before the direct sound by more than `LEAD_S` is another sound, or noise. What comes after the intersection, where
+    noise hides what the filter spreads, is taken off the filtered response, so that all octaves share a spectrum.
     """
     boundary = round(direct_sample + EARLY_S * spectra.fs_hz)
     first = max(0, round(direct_sample - LEAD_S * spectra.fs_hz))
-    end = round(direct_sample) + intersection.sample
+    end = round(direct_sample) + curve.intersection.sample
     if end <= boundary:
         return None
-    early, late = (spectra.energy(*part, band) for part in ((first, boundary), (boundary, end)))
-    late += intersection.rest_energy - (end - boundary) * intersection.noise_power
-    early -= (boundary - first) * intersection.noise_power
+    noise_power = curve.intersection.noise_power
+    early, late = (spectra.energy(*part, band) for part in ((first, boundary), (boundary, len(spectra.rir))))
+    late += curve.intersection.rest_energy - curve.beyond - (end - boundary) * noise_power
+    early -= (boundary - first) * noise_power
     return float(power_db(early) - power_db(late)) if early > 0.0 and late > 0.0 else None
 
 

@@ -51,7 +51,8 @@ def dot(first: Array, second: Array) -> float:
     return float(np.einsum("i,i->", first, second))
 
 
-def find_noise_intersection(power: FloatArray, fs_hz: float, bandwidth_hz: float | None = None) -> NoiseIntersection:
+def find_noise_intersection(remaining: FloatArray, fs_hz: float, bandwidth_hz: float | None = None
+                            ) -> NoiseIntersection:
     """Find where a decay meets the noise floor, by Lundeby's iteration.
 
     The noise is the power at the end of the response less the extrapolated decay. If it is smaller than the decay
@@ -61,18 +62,18 @@ def find_noise_intersection(power: FloatArray, fs_hz: float, bandwidth_hz: float
 
     Parameters
     ----------
-    power
-        Squared response from the direct sound on, shape (n_samples,).
+    remaining
+        `remaining_energy` of the squared response from the direct sound on, shape (n_samples + 1,).
     fs_hz
         Sample rate.
     bandwidth_hz
         Bandwidth of the response, which tells how much its level scatters; by default half the sample rate.
     """
-    return NoiseIntersection(*_meet_noise(_remaining_energy(power), float(fs_hz), float(bandwidth_hz or 0.5 * fs_hz)))
+    return NoiseIntersection(*_meet_noise(remaining, float(fs_hz), float(bandwidth_hz or 0.5 * fs_hz)))
 
 
 @compiled
-def _remaining_energy(power: FloatArray) -> FloatArray:
+def remaining_energy(power: FloatArray) -> FloatArray:
     """Return the sum of a power from each sample to the end and, last, 0, shape (n_samples + 1,).
 
     The energy of any block is a difference of two of them. Summed from the end, they are exact to a rounding of what is
@@ -87,7 +88,7 @@ def _remaining_energy(power: FloatArray) -> FloatArray:
 
 @compiled
 def _meet_noise(remaining: FloatArray, fs_hz: float, bandwidth_hz: float) -> tuple[int, float, float, bool]:
-    """Return the fields of a `NoiseIntersection` from `_remaining_energy`; see `find_noise_intersection`."""
+    """Return the fields of a `NoiseIntersection` from `remaining_energy`; see `find_noise_intersection`."""
     n_samples = len(remaining) - 1
     start = int(0.9 * n_samples)
     noise = tail = remaining[start] / (n_samples - start)

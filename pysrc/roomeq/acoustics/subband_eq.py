@@ -18,7 +18,7 @@ import numpy as np
 
 from roomeq.acoustics.decibels import power_db
 from roomeq.acoustics.fade import length_before_silence
-from roomeq.acoustics.noise_intersection import find_noise_intersection
+from roomeq.acoustics.noise_intersection import find_noise_intersection, remaining_energy
 from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.core.constants import BAND_1KHZ, BANDS_HZ, FS_HZ
 
@@ -119,7 +119,8 @@ def _eq_part(rir: FloatArray, direct_sample: float, fs_hz: float, last: int) -> 
         raise ValueError(f"direct_sample={direct_sample:g} must lie before the response's end, {last}: "
                          "find it again")
     start = max(0, direct - round(N_LEAD * fs_hz / FS_HZ))
-    stop = direct + find_noise_intersection(np.square(rir[direct:last], dtype=np.float64), fs_hz).sample
+    power = np.square(rir[direct:last], dtype=np.float64)
+    stop = direct + find_noise_intersection(remaining_energy(power), fs_hz).sample
     return EqPart(start, min(max(stop, start + frame_length(fs_hz)), len(rir)))
 
 

@@ -212,16 +212,17 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
         values[at] = np.where(bounded[at], (level_db - snr_db + MIN_SNR_DB) / JND["direct"], values[at])
     _put(values, valid, "drr", np.array([drr_db], dtype=float),
          np.array([drr_db is not None and valid[at].any() and whole["late"].any()]))
-    noise_levels, white = _noise_levels(rir, direct, noise, white)
-    end_level, _ = noise_levels["floor"]
+    per_energy = _per_energy(rir)
+    behind = _behind(noise, white, per_energy)
+    end_level = behind.floor_db
     if end is not None and end < len(rir):
-        end_level, _ = _noise_levels(rir, direct, _noise_density(rir[:end], metrics, band_hz), white)[0]["floor"]
-    for metric, (level_db, is_valid) in noise_levels.items():
-        _put(values, valid, metric, level_db, is_valid)
+        end_level = _behind(_noise_density(rir[:end], metrics, band_hz), behind.white, per_energy).floor_db
+    _put(values, valid, "floor", behind.floor_db, behind.known[OCTAVE_OF_THIRD])
+    _put(values, valid, "ahead", *_ahead(rir, direct, behind, per_energy, 0.0 if is_recording else behind.white))
     if is_recording:
         at = feature_slice("floor")
         bounded[at] = noise.has_response[OCTAVE_OF_THIRD] & ~valid[at]
-    return Features(values, valid & np.isfinite(values), bounded, direct, white, *band_hz,
+    return Features(values, valid & np.isfinite(values), bounded, direct, behind.white, *band_hz,
                     float(20.0 * np.log10(np.max(np.abs(rir)))), _length(rir), end_level / JND["floor"])
 
 
@@ -254,7 +255,7 @@ def _put(values: FloatArray, valid: BoolArray, metric: str, amounts: FloatArray,
 
 def _length(rir: FloatArray) -> int:
     """Return the length of an RIR without zeros at its end."""
-    return int(np.flatnonzero(rir)[-1]) + 1
+    return len(rir) - int(np.argmax(rir[::-1] != 0.0))
 
 
 def _noise_density(rir: FloatArray, metrics: dict, band_hz: tuple[float, float]) -> _Noise:
@@ -341,48 +342,68 @@ def _before_the_end(rir: FloatArray, direct: float, metrics: dict, levels: dict[
     return {metric: level_db > lost_of[metric] + MIN_SNR_DB for metric, (level_db, _) in levels.items()}
 
 
-def _noise_levels(rir: FloatArray, direct: float, noise: _Noise, white: FloatArray | None
-                  ) -> tuple[dict[str, tuple[FloatArray, BoolArray]], FloatArray]:
-    """Return the noise behind the response, per third octave, and the sound ahead of it, per octave [dB].
+class _Behind(NamedTuple):
+    """Noise behind a response.
 
-    Noise is scored relative to white noise of the recording's own level plus a floor (`QUIET`), so that its level goes
-    to 0 smoothly where there is no other noise.
-
-    Returns
-    -------
-    levels : dict
-        {metric: (level, whether it is valid)}.
+    Attributes
+    ----------
+    floor_db : ndarray, shape (22,)
+        Per third octave. It is relative to white noise of the recording's own level plus a floor (`QUIET`), so that it
+        goes to 0 smoothly where there is no other noise.
+    known : ndarray of bool, shape (8,)
+        Whether that is noise, or so quiet that it does not matter.
+    energy : ndarray, shape (8,)
+        Of `NOISE_S`, relative to the response.
     white : ndarray, shape (8,)
+        The same of white noise alone.
     """
+
+    floor_db: FloatArray
+    known: BoolArray
+    energy: FloatArray
+    white: FloatArray
+
+
+def _per_energy(rir: FloatArray) -> FloatArray:
+    """Return the number of samples in `NOISE_S` over the energy of the response in each octave, shape (8,)."""
     n_fft = next_fast_len(len(rir), real=True)
-    energy = energy_in_bands(OCTAVES, energy_per_bin(rir, n_fft), n_fft)
-    per_energy = NOISE_S * FS_HZ / np.maximum(energy, 1e-30)
+    return NOISE_S * FS_HZ / np.maximum(energy_in_bands(OCTAVES, energy_per_bin(rir, n_fft), n_fft), 1e-30)
+
+
+def _behind(noise: _Noise, white: FloatArray | None, per_energy: FloatArray) -> _Behind:
+    """Return the noise behind a response; its `white` noise is known if it is a rendering."""
     end, end_of_thirds = noise.octave * per_energy, noise.third * per_energy[OCTAVE_OF_THIRD]
     # without visible noise, the level is known only if even the end of the response is quiet
     known = noise.seen | (_db(end / QUIET + 1.0) < JND["floor"])
     if white is None:
-        added, white = np.zeros(len(BANDS_HZ)), _white(noise) * per_energy
+        white = _white(noise) * per_energy
         white_of_thirds = white[OCTAVE_OF_THIRD] * SHARE_OF_THIRD
-        behind = np.where(noise.seen, end, white)
+        energy = np.where(noise.seen, end, white)
         # an unknown level is at most that of the end, where the decay goes on
         is_end = (noise.seen | ~known)[OCTAVE_OF_THIRD]
-        behind_of_thirds = np.where(is_end, end_of_thirds, white_of_thirds)
+        of_thirds = np.where(is_end, end_of_thirds, white_of_thirds)
     else:  # a rendering has no noise of its own, and ends when its decay is over
         white_of_thirds = white[OCTAVE_OF_THIRD] * SHARE_OF_THIRD
-        added, behind, behind_of_thirds = white, end + white, end_of_thirds + white_of_thirds
+        energy, of_thirds = end + white, end_of_thirds + white_of_thirds
     quiet_of_thirds = QUIET * SHARE_OF_THIRD
-    levels = {"floor": (_db((behind_of_thirds + quiet_of_thirds) / (white_of_thirds + quiet_of_thirds)),
-                        known[OCTAVE_OF_THIRD])}
+    return _Behind(_db((of_thirds + quiet_of_thirds) / (white_of_thirds + quiet_of_thirds)), known, energy, white)
+
+
+def _ahead(rir: FloatArray, direct: float, behind: _Behind, per_energy: FloatArray, added: FloatArray | float
+           ) -> tuple[FloatArray, BoolArray]:
+    """Return the level of the sound ahead of the direct sound over that of the noise behind the response [dB].
+
+    And whether it is valid, both per octave. `added` is the noise that the response lacks, as `_Behind.energy`.
+    """
     n_ahead = round(direct) - round(3e-3 * FS_HZ) - 16
-    ahead, resolved = np.full(len(BANDS_HZ), np.nan), (OCTAVE_WIDTH_HZ * n_ahead > FS_HZ) & (n_ahead > 48)
+    level_db, resolved = np.full(len(BANDS_HZ), np.nan), (OCTAVE_WIDTH_HZ * n_ahead > FS_HZ) & (n_ahead > 48)
     # finite wherever there are samples: the direct sound of a rendering may be earlier than that of the recording
     if n_ahead > 8:
         part = faded_part(_without_trend(rir[:min(32 + n_ahead, len(rir))]), 16, 16 + n_ahead, 16)
         n_fft = next_fast_len(max(2048, len(part)), real=True)
         energy = energy_in_bands(OCTAVES, energy_per_bin(part, n_fft), n_fft)
-        ahead = _db((energy / len(part) * per_energy + added + QUIET) / (behind + QUIET))
-    levels["ahead"] = ahead, resolved & known
-    return levels, white
+        level_db = _db((energy / len(part) * per_energy + added + QUIET) / (behind.energy + QUIET))
+    return level_db, resolved & behind.known
 
 
 def _without_trend(part: FloatArray) -> FloatArray:
