@@ -40,6 +40,12 @@ _FEWEST_STEPS, _MOST_STEPS = 2.0 ** 4, 2.0 ** 32
 """From the lowest to the highest sample: a few pulses of equal height are not quantised, nor are floats."""
 
 
+def length_before_zeros(rir: FloatArray) -> int:
+    """Return the number of samples ahead of digital silence at the end of a response; 0 if it is silent."""
+    sounds = rir[::-1] != 0.0
+    return len(rir) - int(np.argmax(sounds)) if sounds.any() else 0
+
+
 def length_before_silence(rir: FloatArray, fs_hz: float) -> int:
     """Return the number of samples ahead of the silence at the end of a response.
 
@@ -52,8 +58,7 @@ def length_before_silence(rir: FloatArray, fs_hz: float) -> int:
     fs_hz
         Sample rate.
     """
-    sounds = rir[::-1] != 0.0
-    n_samples = len(rir) - int(np.argmax(sounds)) if sounds.any() else 0
+    n_samples = length_before_zeros(rir)
     power = np.square(np.diff(rir[:n_samples]))  # the difference takes out rumble, whose level scatters
     for block_s in _BLOCKS_S:
         n_block = round(block_s * fs_hz)

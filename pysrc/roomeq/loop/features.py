@@ -22,7 +22,7 @@ from roomeq.acoustics.band_energy import OCTAVES, THIRDS, Bands, energy_in_bands
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.excitation import NO_END_HZ, excited_from_hz, excited_to_hz, is_excited
-from roomeq.acoustics.fade import length_before_fade
+from roomeq.acoustics.fade import length_before_fade, length_before_zeros
 from roomeq.acoustics.iso3382 import DIRECT_S, EARLY_S, all_metrics
 from roomeq.acoustics.jnd import C50_JND_DB, DECAY_JND, DRR_JND_DB, LEVEL_JND_DB
 from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, SPECTRUM_HZ, THIRD_WIDTH_HZ, THIRDS_HZ
@@ -185,7 +185,7 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     """
     rir, is_recording = np.asarray(rir, dtype=np.float64), white is None
     direct, polarity, timed = _direct(rir, expected_sample, timed)
-    if white is None and (n_samples := length_before_fade(rir, FS_HZ, direct)) < _length(rir):
+    if white is None and (n_samples := length_before_fade(rir, FS_HZ, direct)) < length_before_zeros(rir):
         rir = rir[:n_samples]  # what fades out, or is silent, is not the noise of the recording
     metrics = all_metrics(rir, FS_HZ, direct, polarity)
     values, valid = np.full(N_FEATURES, np.nan), np.zeros(N_FEATURES, dtype=bool)
@@ -201,7 +201,7 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     noise = _noise_density(rir, metrics, band_hz)
     levels = _levels(rir, direct, metrics, noise)
     whole = {metric: np.ones(len(level_db), dtype=bool) for metric, (level_db, _) in levels.items()}
-    if white is None and _length(rir) < direct + LATE_S * FS_HZ:  # a rendering ends when its decay is over
+    if white is None and length_before_zeros(rir) < direct + LATE_S * FS_HZ:  # a rendering ends when its decay is over
         whole = _before_the_end(rir, direct, metrics, levels)
     for metric, (level_db, snr_db) in levels.items():
         _put(values, valid, metric, level_db, (snr_db > MIN_SNR_DB) & whole[metric])
@@ -223,7 +223,7 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
         at = feature_slice("floor")
         bounded[at] = noise.has_response[OCTAVE_OF_THIRD] & ~valid[at]
     return Features(values, valid & np.isfinite(values), bounded, direct, behind.white, *band_hz,
-                    float(20.0 * np.log10(np.max(np.abs(rir)))), _length(rir), end_level / JND["floor"])
+                    float(20.0 * np.log10(np.max(np.abs(rir)))), length_before_zeros(rir), end_level / JND["floor"])
 
 
 def excited(from_hz: float, to_hz: float = NO_END_HZ) -> BoolArray:
@@ -253,17 +253,12 @@ def _put(values: FloatArray, valid: BoolArray, metric: str, amounts: FloatArray,
     valid[feature_slice(metric)] = is_valid
 
 
-def _length(rir: FloatArray) -> int:
-    """Return the length of an RIR without zeros at its end."""
-    return len(rir) - int(np.argmax(rir[::-1] != 0.0))
-
-
 def _noise_density(rir: FloatArray, metrics: dict, band_hz: tuple[float, float]) -> _Noise:
     """Return the energy per sample at the end of a response, where only noise is left as a rule.
 
     Octaves outside the excitation's band have no response, and what is in them says nothing of the noise.
     """
-    last = _length(rir)
+    last = length_before_zeros(rir)
     intersections = np.array(metrics["band_noise_intersection_s"]) * FS_HZ + metrics["direct_sample"]
     start = max(int(0.9 * last), min(last, int(intersections.max())))
     start = min(start, last - int(0.05 * FS_HZ)) if last > int(0.2 * FS_HZ) else int(0.9 * last)
@@ -284,7 +279,7 @@ def _most_noise_below(rir: FloatArray) -> FloatArray:
     A few periods at the end of a recording tell little of such noise (`_quantile`). What has not decayed there counts
     as noise.
     """
-    last = _length(rir)
+    last = length_before_zeros(rir)
     end = rir[max(0, last - round(_LOW_NOISE_S * FS_HZ)):last]
     n_fft = next_fast_len(max(len(end), 2048), real=True)
     energy = energy_in_bands(_BELOW, energy_per_bin(end, n_fft), n_fft)
@@ -336,7 +331,7 @@ def _before_the_end(rir: FloatArray, direct: float, metrics: dict, levels: dict[
     total_db = _db(energy_in_bands(OCTAVES, energy_per_bin(rir, n_fft), n_fft))
     lost_db = total_db - np.array(metrics["decay_range_db"])
     of_thirds = np.concatenate([lost_db[[0] * _N_BELOW], lost_db[OCTAVE_OF_THIRD]])
-    has_early = _length(rir) >= direct + EARLY_S * FS_HZ
+    has_early = length_before_zeros(rir) >= direct + EARLY_S * FS_HZ
     lost_of = {"direct": np.full(len(DIRECT_THIRDS_HZ), -np.inf), "late": lost_db, "spectrum": of_thirds,
                "early": np.full(len(total_db), -np.inf) if has_early else lost_db}
     return {metric: level_db > lost_of[metric] + MIN_SNR_DB for metric, (level_db, _) in levels.items()}

@@ -281,7 +281,7 @@ def run_speed(quick):
                                             float(spent["pyroomacoustics"][0] / spent["roomeq"][0]), low=10.0))
     section.notes.append("pyroomacoustics: its room of the same plan and height, with the same materials, air, octave "
                          "bands and number of rays, and image sources to order 3; both on two threads. roomeq traces "
-                         "as many rays for each of six different sets of scattering coefficients."
+                         "as many rays for each octave, whose scattering coefficients all differ."
                          if peer.load() else peer.ABSENT)
     return section
 
