@@ -7,17 +7,19 @@ each installation waits for the compiler, and so does the first loop.
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from typing import cast
 
 import numpy as np
 
 from roomeq.acoustics.parameters import measure
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import FS_HZ
 from roomeq.effects.spherical_cap import cap_gain
 from roomeq.loop.arrivals import log_likelihood
 from roomeq.loop.features import measure_features
-from roomeq.loop.predict import add_up, decay_times
-from roomeq.loop.tables import collect
+from roomeq.loop.predict import decay_times
+from roomeq.loop.ray_energy import add_gain, add_up
+from roomeq.loop.tables import ANGLES, collect
 from roomeq.sim.mesh import MeshRoom
 from roomeq.sim.response import simulate_responses, trace_source
 from roomeq.sim.scene import Material, Scene, Shoebox
@@ -70,11 +72,12 @@ def analyse() -> None:
 def predict() -> None:
     """Run the kernels of the loop's prediction on arrays of the types that they get there."""
     traced = trace_source(_SCENE, _SOURCE_M, num_rays=_NUM_RAYS, max_length_s=0.1, rng=np.random.default_rng(0))
-    (table,) = collect(traced, _MICS_M[:1], [None])
-    kept, energy = np.ones((table.counts.shape[1], 8)), np.zeros((1, table.entries[:, 0].max() + 1, 8))
-    add_up(table.entries, table.counts, np.empty((0, 0)), np.empty((0, 0)), kept, energy[0])
-    angular = np.ones((len(table.entries), 1), table.counts.dtype)
-    add_up(table.entries, table.counts, angular, np.ones((1, 8)), kept, energy[0])
+    (table,) = collect(traced, _MICS_M[:1], [np.array([1.0, 0.0, 0.0])])
+    n_frames, n_angles, n_shares = table.entries[:, 0].max() + 1, len(ANGLES), table.counts.shape[1]
+    energy, by_angle = np.zeros((1, n_frames, 8)), np.zeros((1, n_frames, n_angles, 8), np.float32)
+    add_up(table.entries, table.counts, cast(Array, table.angular), np.ones((n_angles, 8), np.float32),
+           np.ones((n_shares, 8), np.float32), energy[0], np.zeros((2, n_frames, 8)), by_angle[0])
+    add_gain(by_angle, np.ones((1, n_angles, 8)), energy)
     decay_times(np.ones((1, 8)), energy, np.arange(energy.shape[1] + 1.0), np.ones(8), np.empty((1, 3, 8)))
     points = np.ones((1, 3))
     log_likelihood(np.ones(10), points, np.ones(1), points, points, np.zeros((1, 3), int), np.ones((1, 1)))

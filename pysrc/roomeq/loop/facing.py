@@ -16,13 +16,14 @@ from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.groups import numbers_by
 from roomeq.core.jit import on_threads
 from roomeq.core.rng import rng_for
+from roomeq.effects.prediction import PredictionState
 from roomeq.effects.source_directivity import SourceDirectivity, unit_facing
 from roomeq.loop.data import LENGTHS_S, Data
 from roomeq.loop.facing_estimate import FacingEstimate, Hypothesis
 from roomeq.loop.features import BAND_OF_FEATURE, CALIBRATION_FEATURES, METRIC
 from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
-from roomeq.loop.predict import predict
+from roomeq.loop.predict import ReflectedEnergy, predict
 from roomeq.loop.session import Session
 from roomeq.loop.tables import OF_SPHERE, collect
 from roomeq.records.schema import unit_name
@@ -180,16 +181,19 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
 
     source_of = np.array([unit_name(row, "source") for row in data.rows])
 
+    def state_of(turned: Data, directivities: dict[str, SourceDirectivity]) -> PredictionState:
+        state = ParameterIndex(turned, others).state(absorption, vectors_of_others)
+        for name, directivity in directivities.items():
+            directivity.apply_to_prediction(state, turned, np.flatnonzero(source_of == name))
+        return state
+
+    turned = replace(data, tables=diffuse)
+    reflected = [ReflectedEnergy(turned, state_of(turned, directivities)) for directivities in possible]  # at any angle
+
     def at_angle(angle: float) -> FloatArray:
         turned = replace(data, tables=[replace(table, direct_angle=angle) for table in diffuse])
-        with_others = ParameterIndex(turned, others)
-        found = []
-        for directivities in possible:
-            state = with_others.state(absorption, vectors_of_others)
-            for name, directivity in directivities.items():
-                directivity.apply_to_prediction(state, turned, np.flatnonzero(source_of == name))
-            found.append(log_likelihood(predict(turned, state) - plain))
-        return np.concatenate(found)
+        return np.concatenate([log_likelihood(predict(turned, state_of(turned, directivities), energy.copy()) - plain)
+                               for directivities, energy in zip(possible, reflected, strict=True)])
 
     of_angles = on_threads(at_angle, [(float(angle),) for angle in _TEST_ANGLES], threads)
     return np.stack(of_angles, axis=2), log_likelihood(np.zeros_like(plain))

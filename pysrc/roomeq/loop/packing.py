@@ -26,6 +26,7 @@ import numpy as np
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.core.jit import on_threads
 from roomeq.effects.base import Effect
+from roomeq.effects.model import is_directive
 from roomeq.effects.prediction import PredictionState
 from roomeq.loop.data import Data
 from roomeq.loop.features import HAS_GAIN, METRIC
@@ -40,6 +41,7 @@ from roomeq.loop.predict import (
     predict,
     predict_by_band,
 )
+from roomeq.loop.ray_energy import sum_rays
 from roomeq.records.schema import session_name
 
 OWN_SCOPES = ("room", "rir")
@@ -52,6 +54,7 @@ of a single RIR whose level says nothing."""
 LEVEL_KINDS = (GAIN_KINDS.index("chain"), GAIN_KINDS.index("rir"))
 """Kinds of gains of which each RIR has one, to which those of source and microphone may be added."""
 _STEP = 0.003  # of numerical derivatives, in units of a vector's spread; with ten times as much steps went uphill
+_SURFACE_STEP = 1e-4  # of those by surface parameters: late energy, linear in it, would be 3 % off with the step above
 _SAME_JND = 0.03
 """Change of the features (rms) over which derivatives are taken as constant."""
 
@@ -95,6 +98,34 @@ class Derivatives(NamedTuple):
 
     by_surface: FloatArray
     by_effect: Mapping[type[Effect], FloatArray]
+
+
+class _Prediction(NamedTuple):
+    """A prediction with what its derivatives need (`ParameterIndex.predict_at`).
+
+    Attributes
+    ----------
+    vectors : list of ndarray
+        Of each effect (`ParameterIndex.vectors`).
+    before : list of PredictionState
+        Before each effect.
+    state : PredictionState
+    reflected : ReflectedEnergy
+    predicted : Predicted
+    gains : ndarray, shape (n_rirs, n_features)
+        Of the recordings.
+    """
+
+    vectors: list[FloatArray]
+    before: list[PredictionState]
+    state: PredictionState
+    reflected: ReflectedEnergy
+    predicted: Predicted
+    gains: FloatArray
+
+    @property
+    def features(self) -> FloatArray:
+        return self.predicted.features + self.gains
 
 
 class ParameterIndex:
@@ -233,8 +264,23 @@ class ParameterIndex:
                 self._apply(k, of_room[k], state, room)
         return predict(self.data, state)
 
+    def predict_at(self, mean: FloatArray, local: list[FloatArray], known: Derivatives | None = None,
+                   threads: int = 1) -> "_Prediction":
+        """Return a prediction from which `linearize` can go on; arguments as there."""
+        vectors, state, before = self.vectors(mean, local), base_state(self.data, self.absorption(mean, local)), []
+        for k, of_effect in enumerate(vectors):
+            before.append(state.copy())
+            self._apply(k, of_effect, state)
+        unknown = set(self.effects).difference(known.by_effect if known else ())
+        rays = sum_rays(self.data, state, by_absorption=known is None, by_angle=any(map(is_directive, unknown)),
+                        threads=threads)
+        reflected = ReflectedEnergy(self.data, state, rays)
+        return _Prediction(vectors, before, state, reflected, predict_by_band(self.data, state, reflected),
+                           np.outer(self.gains(local), HAS_GAIN))
+
     def linearize(self, mean: FloatArray, local: list[FloatArray], correction: FloatArray,
-                  known: Derivatives | None = None, threads: int = 1) -> tuple[FloatArray, Derivatives]:
+                  known: Derivatives | None = None, threads: int = 1, at: "_Prediction | None" = None
+                  ) -> tuple[FloatArray, Derivatives]:
         """Return predicted features, shape (n_rirs, n_features), and their derivatives.
 
         Parameters
@@ -247,30 +293,28 @@ class ParameterIndex:
             Derivatives that are not computed again, by the surface parameters and by any effects.
         threads : int
             On which the derivatives are computed.
+        at : _Prediction, optional
+            Of `predict_at` with the same arguments.
         """
-        absorption, vectors = self.absorption(mean, local), self.vectors(mean, local)
-        state, before = base_state(self.data, absorption), []  # before each effect
-        for k, of_effect in enumerate(vectors):
-            before.append(state.copy())
-            self._apply(k, of_effect, state)
-        reflected = ReflectedEnergy(self.data, state)
-        centre = predict_by_band(self.data, state, reflected)
+        at = at or self.predict_at(mean, local, known, threads)
+        centre, reflected, rays = at.predicted, at.reflected, at.reflected.rays
         jobs: list[tuple[Callable[..., None], tuple[Any, ...]]] = []
 
         def by_absorption(slopes: FloatArray, bands: list[int], first: int, step: tuple[float, float]) -> None:
-            moved = absorption.copy()
-            moved[:, :, bands] *= np.exp(_STEP * np.array(step))[:, None]
             # no effect changes the absorption, and none depends on it
-            moved_to = predict_by_band(self.data, replace(state, absorption=moved[self.data.room]))
-            slopes[:, :, [first + band for band in bands]] = _slopes(centre, moved_to, bands, _STEP)
+            moved = replace(at.state, absorption=at.state.absorption.copy())
+            moved.absorption[:, :, bands] *= np.exp(_SURFACE_STEP * np.array(step))[:, None]
+            moved_to = predict_by_band(self.data, moved, ReflectedEnergy(self.data, moved, rays))
+            slopes[:, :, [first + band for band in bands]] = _slopes(centre, moved_to, bands, _SURFACE_STEP)
 
         def by_vector(slopes: FloatArray, k: int, group: list[int]) -> None:
-            effect, moved, moved_state = self.effects[k], vectors[k].copy(), before[k].copy()
+            effect, moved, moved_state = self.effects[k], at.vectors[k].copy(), at.before[k].copy()
             steps = _STEP * np.array(effect.SPREAD)[group]
             moved[:, group] += steps
-            for later, of_effect in enumerate([moved, *vectors[k + 1:]], k):
+            for later, of_effect in enumerate([moved, *at.vectors[k + 1:]], k):
                 self._apply(later, of_effect, moved_state)
-            moved_to = predict_by_band(self.data, moved_state, None if effect.REFLECTIONS else reflected.copy())
+            moved_to = predict_by_band(self.data, moved_state, ReflectedEnergy(self.data, moved_state, rays)
+                                       if effect.REFLECTIONS else reflected.copy())
             bands = [band for p in group if (band := effect.BANDS[p] if effect.BANDS else None) is not None]
             slopes[:, :, group] = _slopes(centre, moved_to, bands, steps) if bands else (
                 moved_to.features - centre.features)[:, :, None] / steps
@@ -287,8 +331,7 @@ class ParameterIndex:
                 by_effect[effect] = np.empty((*centre.features.shape, len(effect.SPREAD)))
                 jobs += [(by_vector, (by_effect[effect], k, group)) for group in _groups_of(effect)]
         on_threads(lambda job, arguments: job(*arguments), jobs, threads)
-        gains = np.outer(self.gains(local), HAS_GAIN)
-        return centre.features + correction + gains, Derivatives(by_surface, by_effect)
+        return at.features + correction, Derivatives(by_surface, by_effect)
 
     def room_derivatives(self, r: int, derivatives: Derivatives) -> FloatArray:
         """Return derivatives of a room's RIRs by the parameters of `room_places`, (n_rirs_of_room, n_features, n)."""
@@ -337,16 +380,17 @@ class Linearization:
     def __init__(self, index: ParameterIndex, correction: FloatArray, known: Derivatives | None = None,
                  threads: int = 1) -> None:
         self.index, self._correction, self._known, self._threads = index, correction, known, threads
-        self._newest: tuple[FloatArray, list[FloatArray], FloatArray] | None = None
+        self._newest: tuple[FloatArray, list[FloatArray], _Prediction] | None = None
         self._linearized: tuple[FloatArray, Derivatives] | None = None
+
+    def _predict_at(self, mean: FloatArray, local: list[FloatArray]) -> _Prediction:
+        if self._newest is None or self._newest[0] is not mean or self._newest[1] is not local:
+            self._newest = mean, local, self.index.predict_at(mean, local, self._known, self._threads)
+        return self._newest[2]
 
     def predicted(self, mean: FloatArray, local: list[FloatArray]) -> FloatArray:
         """Return predicted features, shape (n_rirs, n_features); they are known where the last call was."""
-        if self._newest is None or self._newest[0] is not mean or self._newest[1] is not local:
-            index = self.index
-            self._newest = mean, local, index.predict(index.absorption(mean, local), index.vectors(mean, local),
-                                                      index.gains(local), self._correction)
-        return self._newest[2]
+        return self._predict_at(mean, local).features + self._correction
 
     def at(self, mean: FloatArray, local: list[FloatArray], same_jnd: float = _SAME_JND
            ) -> tuple[FloatArray, Derivatives]:
@@ -356,8 +400,8 @@ class Linearization:
             change = (predicted - origin)[self.index.data.valid]
             if not len(change) or np.sqrt(np.mean(change ** 2)) <= same_jnd:
                 return predicted, derivatives
-        self._linearized = self.index.linearize(mean, local, self._correction, self._known, self._threads)
-        self._newest = mean, local, self._linearized[0]
+        self._linearized = self.index.linearize(mean, local, self._correction, self._known, self._threads,
+                                                self._predict_at(mean, local))
         return self._linearized
 
 

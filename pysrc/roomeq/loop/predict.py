@@ -13,7 +13,7 @@ import numpy as np
 
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, SPECTRUM_HZ, THIRDS_HZ
-from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.core.jit import compiled
 from roomeq.effects.noise_floor import SHARE_OF_THIRD
@@ -33,7 +33,8 @@ from roomeq.loop.features import (
     QUIET,
     feature_slice,
 )
-from roomeq.loop.tables import FRAME_EDGES_S, LEVEL_SHARES
+from roomeq.loop.ray_energy import RayEnergy, same, sum_rays
+from roomeq.loop.tables import FRAME_EDGES_S
 from roomeq.sim.scene import eyring_area_of_mean, time_of_area_s
 
 N_BANDS = len(EXACT_BANDS_HZ)
@@ -54,8 +55,6 @@ def _octaves_to(frequencies_hz: tuple[float, ...]) -> FloatArray:
     return np.maximum(0.0, 1.0 - np.abs(position[:, None] - np.arange(N_BANDS)))
 
 
-_Octaves = tuple[float, ...]
-_OMNIDIRECTIONAL = np.empty((0, 0))  # in place of angles and their gains
 TO_THIRDS = _octaves_to(SPECTRUM_HZ)
 _RESPONSE_TO_OCTAVES = np.array([np.abs(np.log2(np.array(RESPONSE_HZ) / band_hz)) < 0.4 for band_hz in EXACT_BANDS_HZ])
 RESPONSE_TO_OCTAVES = _RESPONSE_TO_OCTAVES / _RESPONSE_TO_OCTAVES.sum(axis=1, keepdims=True)
@@ -85,23 +84,14 @@ def base_state(data: Data, absorption: FloatArray) -> PredictionState:
     return state
 
 
-def reflected_energy(data: Data, state: PredictionState) -> FloatArray:
+def _reflected_energy(data: Data, state: PredictionState, rays: RayEnergy) -> FloatArray:
     """Return the energy of all but the direct sound, shape (n_rirs, n_frames, 8).
 
     Frames are lengths of paths, given in seconds at the declared speed of sound.
     """
-    share = LEVEL_SHARES[:, None]
-    # share of the energy that each reflection leaves, shape (n_rirs, 6, 8)
-    kept = np.exp(-state.absorption[:, :1] * (1.0 - share) - state.absorption[:, 1:] * share)
     edges_s = data.frame_edges_s
-    energy = np.zeros((len(kept), len(edges_s) - 1, N_BANDS))
-    for i, table in enumerate(data.tables):
-        angular, ray_gain = _OMNIDIRECTIONAL, _OMNIDIRECTIONAL
-        if state.ray_gain is not None and table.angular is not None:
-            angular, ray_gain = table.angular, state.ray_gain[i]
-        add_up(table.entries, table.counts, angular, ray_gain, kept[i], energy[i])
     length_m = data.distance_m[:, None] + 0.5 * (edges_s[1:] + edges_s[:-1]) * data.speed_m_s[:, None]
-    energy *= np.exp(-length_m[:, :, None] * state.air_per_m[:, None, :])
+    energy = rays.at(state) * np.exp(-length_m[:, :, None] * state.air_per_m[:, None, :])
     if not state.decays:
         return energy
     whole, t60_s = energy.sum(axis=1), _eyring_times_s(data, state)
@@ -122,10 +112,19 @@ def _eyring_times_s(data: Data, state: PredictionState) -> FloatArray:
 
 
 class ReflectedEnergy:
-    """Energy of all but the direct sound, as features need it; states that differ only in other things share it."""
+    """Energy of all but the direct sound, as features need it; states that differ only in other things share it.
 
-    def __init__(self, data: Data, state: PredictionState) -> None:
-        self._energy, self._edges_s = reflected_energy(data, state), data.frame_edges_s
+    Parameters
+    ----------
+    data : roomeq.loop.data.Data
+    state : PredictionState
+    rays : RayEnergy, optional
+        Of the state, or of one that differs little in absorption and in directivity (`RayEnergy.at`).
+    """
+
+    def __init__(self, data: Data, state: PredictionState, rays: RayEnergy | None = None) -> None:
+        self.rays = sum_rays(data, state) if rays is None else rays
+        self._energy, self._edges_s = _reflected_energy(data, state, self.rays), data.frame_edges_s
         self._gates_s = [seconds * state.speed_m_s / data.speed_m_s for seconds in (DIRECT_S, EARLY_S, LATE_S)]
         self._gain: FloatArray | None = None
         self._levels = self._measured(self._energy)
@@ -146,7 +145,7 @@ class ReflectedEnergy:
 
         `gain` is `PredictionState.reflected_gain`.
         """
-        if not _same(gain, self._gain):
+        if not same(gain, self._gain):
             self._gain, self._direct = gain, None
             self._levels = self._measured(self._gained())
         return self._levels
@@ -157,14 +156,10 @@ class ReflectedEnergy:
     def decay_times_s(self, direct: FloatArray, gain: FloatArray | None) -> FloatArray:
         """Return EDT, T20 and T30 after a direct sound of energy `direct`, shape (n_rirs, 8), as (n_rirs, 3, 8)."""
         self.levels(gain)
-        if not _same(direct, self._direct):
+        if not same(direct, self._direct):
             self._direct, energy = direct, self._gained()
             decay_times(direct, energy, self._edges_s, _PULSE_S, self._times_s)
         return self._times_s
-
-
-def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
-    return one is other or (one is not None and other is not None and np.array_equal(one, other))
 
 
 class Predicted(NamedTuple):
@@ -255,46 +250,6 @@ def _until(seconds: FloatArray, energy: FloatArray) -> FloatArray:
 def _sum_db(first_db: FloatArray, second_db: FloatArray) -> FloatArray:
     """Level of two sounds together."""
     return _db(10.0 ** (first_db / 10.0) + 10.0 ** (second_db / 10.0))
-
-
-@compiled
-def add_up(entries: IntArray, counts: FloatArray, angular: FloatArray, ray_gain: FloatArray, kept: FloatArray,
-           energy: FloatArray) -> None:
-    """Add ray contributions to the energy per frame, with the loss of each reflection and the gain at departure."""
-    n_angles, n_shares = angular.shape[1], kept.shape[0]
-    most = 0
-    for k in range(len(entries)):
-        most = max(most, entries[k, 1])
-    left = np.ones((most + 1, n_shares, 8))  # after each number of reflections
-    for n in range(1, len(left)):
-        for node in range(n_shares):
-            for band in range(8):
-                left[n, node, band] = left[n - 1, node, band] * kept[node, band]
-    zeros: _Octaves = (0.0,) * 8
-    ones: _Octaves = (1.0,) * 8
-    for k in range(len(entries)):
-        amount, gain = zeros, ones if n_angles == 0 else zeros
-        for node in range(n_shares):  # many are 0; a branch would take longer
-            amount = _plus(amount, counts[k, node], left[entries[k, 1], node])
-        for angle in range(n_angles):
-            gain = _plus(gain, angular[k, angle], ray_gain[angle])
-        row = energy[entries[k, 0]]
-        row[0] += amount[0] * gain[0]
-        row[1] += amount[1] * gain[1]
-        row[2] += amount[2] * gain[2]
-        row[3] += amount[3] * gain[3]
-        row[4] += amount[4] * gain[4]
-        row[5] += amount[5] * gain[5]
-        row[6] += amount[6] * gain[6]
-        row[7] += amount[7] * gain[7]
-
-
-@compiled
-def _plus(total: _Octaves, weight: float, row: FloatArray) -> _Octaves:
-    """Add a weighted row to eight bands: eight variables, which stay in registers."""
-    return (total[0] + weight * row[0], total[1] + weight * row[1], total[2] + weight * row[2],
-            total[3] + weight * row[3], total[4] + weight * row[4], total[5] + weight * row[5],
-            total[6] + weight * row[6], total[7] + weight * row[7])
 
 
 @compiled
