@@ -19,7 +19,7 @@ from roomeq.loop.arrivals import log_likelihood
 from roomeq.loop.features import measure_features
 from roomeq.loop.predict import decay_times
 from roomeq.loop.ray_energy import add_gain, add_up
-from roomeq.loop.tables import ANGLES, collect
+from roomeq.loop.tables import ANGLES, collect, turned
 from roomeq.sim.mesh import MeshRoom
 from roomeq.sim.response import simulate_responses, trace_source
 from roomeq.sim.scene import Material, Scene, Shoebox
@@ -72,7 +72,7 @@ def analyse() -> None:
 def predict() -> None:
     """Run the kernels of the loop's prediction on arrays of the types that they get there."""
     traced = trace_source(_SCENE, _SOURCE_M, num_rays=_NUM_RAYS, max_length_s=0.1, rng=np.random.default_rng(0))
-    (table,) = collect(traced, _MICS_M[:1], [np.array([1.0, 0.0, 0.0])])
+    table = turned(*collect(traced, _MICS_M[:1])[0], *np.eye(3)[:2])
     n_frames, n_angles, n_shares = table.entries[:, 0].max() + 1, len(ANGLES), table.counts.shape[1]
     energy, by_angle = np.zeros((1, n_frames, 8)), np.zeros((1, n_frames, n_angles, 8), np.float32)
     add_up(table.entries, table.counts, cast(Array, table.angular), np.ones((n_angles, 8), np.float32),

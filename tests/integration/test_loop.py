@@ -53,6 +53,7 @@ from roomeq.loop.likelihood import misfit, normal_equations
 from roomeq.loop.packing import N_SURFACE, Linearization, ParameterIndex
 from roomeq.loop.power import _changes, detectable_sizes
 from roomeq.loop.predict import ReflectedEnergy, predict
+from roomeq.loop.ray_energy import sum_rays
 from roomeq.loop.refined_facing import _turned, refined_facings
 from roomeq.loop.rendering import render_rows, rendered_features, row_models
 from roomeq.loop.selection import _candidate, _densities, choose, rank, size_of_change_jnd
@@ -66,6 +67,7 @@ from roomeq.loop.splitters import (
     transfer_shared,
 )
 from roomeq.loop.step import close_loop
+from roomeq.loop.tables import ANGLES
 from roomeq.loop.usable import usable_rirs
 from roomeq.records.rir_dir import load_rir, read_rirs, relocated, write_rirs
 from roomeq.sim.response import simulate_responses
@@ -442,12 +444,39 @@ def test_halves_are_disjoint_and_hold_every_chain(session):
 def test_slopes_of_separate_bands_taken_together_are_those_of_each(session):
     data, index, fitted = session.data, session.index, session.fit
     centre, derivatives = index.linearize(fitted.mean, fitted.local, session.correction)
+    gains = np.outer(index.gains(fitted.local), HAS_GAIN)
+    state = index.state(index.absorption(fitted.mean, fitted.local), [])
+    rays = sum_rays(data, state, by_absorption=True)
     for n in range(N_SURFACE):
-        mean, step = fitted.mean.copy(), 0.003
+        mean, step = fitted.mean.copy(), 1e-4
         mean[n] += step
-        moved = index.predict(index.absorption(mean, fitted.local), [], index.gains(fitted.local), session.correction)
-        np.testing.assert_allclose(derivatives.by_surface[:, :, n], (moved - centre) / step, rtol=0.02, atol=0.02)
+        moved = index.state(index.absorption(mean, fitted.local), [])
+        slopes = (predict(data, moved, ReflectedEnergy(data, moved, rays)) + gains + session.correction - centre) / step
+        np.testing.assert_allclose(derivatives.by_surface[:, :, n], slopes, rtol=0.02, atol=0.02)
     assert np.ptp(derivatives.by_surface[:, METRIC == "drr"]) > 0.1 and len(data.rows) > 8
+
+
+def test_energy_of_rays_at_another_absorption_and_directivity_is_that_of_another_sum(session):
+    data, index, fitted = session.data, session.index, session.fit
+    state = index.state(index.absorption(fitted.mean, fitted.local), [])
+    whole = sum_rays(data, state).energy
+    rays = sum_rays(data, state, by_absorption=True, by_angle=True)
+    np.testing.assert_array_equal(rays.energy, whole)
+    np.testing.assert_array_equal(sum_rays(data, state, threads=3).energy, whole)
+    assert rays.at(state) is rays.energy
+    for surfaces in (0, 1):
+        below, above = (replace(state, absorption=state.absorption * np.where(
+            np.arange(2) == surfaces, 1.0 + sign * 2e-3, 1.0)[:, None]) for sign in (-1.0, 1.0))
+        change = sum_rays(data, above).energy - sum_rays(data, below).energy
+        assert np.all(change <= 0.0) and np.abs(change).max() > 1e-4 * whole.max()
+        np.testing.assert_allclose(rays.at(above) - rays.at(below), change, rtol=0.02, atol=1e-6 * whole.max())
+    gain = np.random.default_rng(0).uniform(0.0, 2.0, (len(data.rows), len(ANGLES), 8))
+    directive, turned_away = replace(state, ray_gain=gain), replace(state, ray_gain=0.5 * gain)
+    of_directive = sum_rays(data, directive, by_angle=True)
+    assert np.abs(of_directive.energy / np.maximum(whole, 1e-30) - 1.0).max() > 0.2
+    for one in (rays, of_directive):
+        np.testing.assert_allclose(one.at(directive), of_directive.energy, rtol=1e-4, atol=1e-6 * whole.max())
+        np.testing.assert_allclose(one.at(turned_away), 0.5 * of_directive.energy, rtol=1e-4, atol=1e-6 * whole.max())
 
 
 @pytest.mark.parametrize("order", [("source_response", "source_directivity"), ("source_directivity", "noise_floor")])

@@ -26,7 +26,7 @@ from roomeq.loop.features import METRIC, Features, feature_slice, measure_featur
 from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
 from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
-from roomeq.loop.tables import ANGLES, Table, collect, frame_edges_s, level_surfaces
+from roomeq.loop.tables import ANGLES, Table, collect, frame_edges_s, level_surfaces, turned
 from roomeq.loop.traces import StoredSample, StoredTrace, TraceFile
 from roomeq.loop.usable import LeftOut, UsableRirs
 from roomeq.records.geometry import is_too_close, place_key
@@ -85,6 +85,8 @@ class Data:
         Of each RIR; shared by the RIRs of one source.
     path_samples : list of StoredSample
         Of each RIR: the paths from which it is rendered with any absorption.
+    sampled_facings : list of (ndarray or None)
+        Direction in which the source faced when they were drawn, None if that was unknown.
     tables : list of Table
     surface_per_m : ndarray, shape (n_rirs, 2)
         Area of the walls, and of floor and ceiling, over the volume of the room.
@@ -124,6 +126,7 @@ class Data:
     room_names: list[str]
     traced: list[StoredTrace]
     path_samples: list[StoredSample]
+    sampled_facings: list[FloatArray | None]
     tables: list[Table]
     surface_per_m: FloatArray
     air_per_m: FloatArray
@@ -255,7 +258,7 @@ def load_data(usable: UsableRirs, *, scattering: float, seed: int, model: Model 
     return Data(
         rows=rows, places=places, **measured, comparable=comparable_levels(rows, features, distance_m), room=room,
         chain=chain, place_number=place_number, room_names=room_names, traced=traced, path_samples=path_samples,
-        tables=tables,
+        sampled_facings=[table.facing for table in tables], tables=tables,
         surface_per_m=np.array([_surface_per_m(place.room) for place in places]),
         air_per_m=np.array([air.attenuation_per_m for air in airs]),
         speed_m_s=np.array([air.speed_m_s for air in airs]), distance_m=distance_m, rendered_changes={},
@@ -380,7 +383,10 @@ def _trace_sources(rows: list[RirRow], places: list[Place], features: list[Featu
                                     [rng_for(seed, "loop paths", rows[n]["id"]) for n in members])
         # whole paths are needed once more where a facing is to be estimated
         stored = file.store(source, paths=any(facing is None for facing in facings))
-        return [stored] * len(members), file.store_samples(samples), collect(source, mics_m, facings)
+        tables = [replace(table, departures=file.store_array(departures)) if facing is None else
+                  turned(table, departures, towards_microphone(places[n]), facing)
+                  for n, facing, (table, departures) in zip(members, facings, collect(source, mics_m), strict=True)]
+        return [stored] * len(members), file.store_samples(samples), tables
 
     # threads: paths are large, and their kernels release the interpreter's lock
     workers = Parallel(n_jobs=nj, prefer="threads", return_as="generator")

@@ -8,6 +8,7 @@ the median over all RIRs of a source takes part, the scored ones among them: it 
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from scipy.special import logsumexp
@@ -24,8 +25,10 @@ from roomeq.loop.features import BAND_OF_FEATURE, CALIBRATION_FEATURES, METRIC
 from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
 from roomeq.loop.predict import ReflectedEnergy, predict
+from roomeq.loop.ray_energy import same
 from roomeq.loop.session import Session
-from roomeq.loop.tables import OF_SPHERE, collect
+from roomeq.loop.tables import OF_SPHERE, turned
+from roomeq.loop.traces import StoredArray
 from roomeq.records.schema import unit_name
 from roomeq.sim.geometry import towards_microphone
 
@@ -116,7 +119,9 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         estimates.append(FacingEstimate(source, len(members), len(by_position), hypothesis, evidence,
                                         mean_angle_deg(data, of_source)))
         facings.update(of_source)
-    return replace(with_facings(data, facings, threads=threads), facings=tuple(estimates), axis=axis)
+    is_directive = SourceDirectivity in {*index.effects, *data.given_kinds}
+    return replace(with_facings(data, facings, resample=is_directive, threads=threads), facings=tuple(estimates),
+                   axis=axis)
 
 
 def mean_angle_deg(data: Data, facings: Mapping[int, FloatArray]) -> float:
@@ -181,18 +186,18 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
 
     source_of = np.array([unit_name(row, "source") for row in data.rows])
 
-    def state_of(turned: Data, directivities: dict[str, SourceDirectivity]) -> PredictionState:
-        state = ParameterIndex(turned, others).state(absorption, vectors_of_others)
+    def state_of(data: Data, directivities: dict[str, SourceDirectivity]) -> PredictionState:
+        state = ParameterIndex(data, others).state(absorption, vectors_of_others)
         for name, directivity in directivities.items():
-            directivity.apply_to_prediction(state, turned, np.flatnonzero(source_of == name))
+            directivity.apply_to_prediction(state, data, np.flatnonzero(source_of == name))
         return state
 
-    turned = replace(data, tables=diffuse)
-    reflected = [ReflectedEnergy(turned, state_of(turned, directivities)) for directivities in possible]  # at any angle
+    at_any = replace(data, tables=diffuse)
+    reflected = [ReflectedEnergy(at_any, state_of(at_any, directivities)) for directivities in possible]
 
     def at_angle(angle: float) -> FloatArray:
-        turned = replace(data, tables=[replace(table, direct_angle=angle) for table in diffuse])
-        return np.concatenate([log_likelihood(predict(turned, state_of(turned, directivities), energy.copy()) - plain)
+        at_one = replace(data, tables=[replace(table, direct_angle=angle) for table in diffuse])
+        return np.concatenate([log_likelihood(predict(at_one, state_of(at_one, directivities), energy.copy()) - plain)
                                for directivities, energy in zip(possible, reflected, strict=True)])
 
     of_angles = on_threads(at_angle, [(float(angle),) for angle in _TEST_ANGLES], threads)
@@ -258,31 +263,31 @@ def with_facings(data: Data, facings: Mapping[int, FloatArray], *, resample: boo
     facings : mapping
         From the number of an RIR.
     resample : bool
-        Draw the samples of paths again: after a small turn, those that are there are hardly more noisy.
+        Draw the samples of paths for these directions: without a directivity in the model, or after a small turn, those
+        that are there are hardly more noisy.
     threads : int
         Number of threads; the result does not depend on it.
     """
-    rows, tables, path_samples = list(data.rows), list(data.tables), list(data.path_samples)
-    by_trace: dict[int, list[int]] = {}
+    rows, tables = list(data.rows), list(data.tables)
+    path_samples, sampled_facings = list(data.path_samples), list(data.sampled_facings)
     for n, facing in facings.items():
         rows[n] = {**rows[n], "source_dir": [float(x) for x in facing]}
-        by_trace.setdefault(id(data.traced[n]), []).append(n)
+        if not same(tables[n].facing, facing):  # an estimate that is made again often finds the same
+            departures = cast(StoredArray, tables[n].departures).load()
+            tables[n] = turned(tables[n], departures, towards_microphone(data.places[n]), facing)
+    by_trace = numbers_by(id(traced) for traced in data.traced) if resample else {}
 
-    def turn(members: list[int]) -> None:
-        turned = [n for n in members if (facing := tables[n].facing) is None or not np.array_equal(facing, facings[n])]
-        if not turned:  # an estimate that is made again often finds the same
+    def draw(members: list[int]) -> None:
+        drawn_again = [n for n in members if n in facings and not same(sampled_facings[n], facings[n])]
+        if not drawn_again:
             return
-        traced, mics_m = data.traced[members[0]].load(), np.array([data.places[n].mic_pos_m for n in turned])
-        of_turned = [facings[n] for n in turned]
-        for n, table in zip(turned, collect(traced, mics_m, of_turned), strict=True):
-            tables[n] = table
-        if not resample:
-            return
-        decays_s = decay_range_s(data.features[members], data.valid[members], LENGTHS_S[0]) or UNKNOWN_DECAYS_S
-        drawn = draw_path_samples(traced, mics_m, of_turned, decays_s,
-                                  [rng_for(data.seed, "loop paths", data.rows[n]["id"]) for n in turned])
-        for n, sample in zip(turned, data.traced[members[0]].file.store_samples(drawn), strict=True):
-            path_samples[n] = sample
+        traced, mics_m = data.traced[members[0]].load(), np.array([data.places[n].mic_pos_m for n in drawn_again])
+        of_source = [n for n in members if n in facings]
+        decays_s = decay_range_s(data.features[of_source], data.valid[of_source], LENGTHS_S[0]) or UNKNOWN_DECAYS_S
+        drawn = draw_path_samples(traced, mics_m, [facings[n] for n in drawn_again], decays_s,
+                                  [rng_for(data.seed, "loop paths", data.rows[n]["id"]) for n in drawn_again])
+        for n, sample in zip(drawn_again, data.traced[members[0]].file.store_samples(drawn), strict=True):
+            path_samples[n], sampled_facings[n] = sample, facings[n]
 
-    on_threads(turn, [(members,) for members in by_trace.values()], threads)
-    return replace(data, rows=rows, tables=tables, path_samples=path_samples)
+    on_threads(draw, [(members,) for members in by_trace.values()], threads)
+    return replace(data, rows=rows, tables=tables, path_samples=path_samples, sampled_facings=sampled_facings)

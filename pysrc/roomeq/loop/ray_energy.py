@@ -16,7 +16,7 @@ from roomeq.loop.data import Data
 from roomeq.loop.tables import ANGLES, LEVEL_SHARES
 
 _N_BANDS = 8
-_OMNIDIRECTIONAL = np.empty((0, 0), np.float32)  # in place of angles and their gains
+_NO_ANGLES: Array = np.empty((0, 0), np.float32)
 _N_SHARES, _N_ANGLES = len(LEVEL_SHARES), len(ANGLES)  # constants to the compiler, which unrolls their loops
 _ZEROS: Numbers = (np.float32(0.0),) * 8
 _ONES: Numbers = (np.float32(1.0),) * 8
@@ -87,11 +87,8 @@ def sum_rays(data: Data, state: PredictionState, *, by_absorption: bool = False,
     def add_tables(first: int, last: int) -> None:
         for i in range(first, last):
             table = data.tables[i]
-            angular: Array = _OMNIDIRECTIONAL
-            of_angle: Array = _OMNIDIRECTIONAL
-            if table.angular is not None and (gain is not None or by_angle):
-                angular = table.angular
-                of_angle = np.ones(parts.shape[2:], np.float32) if gain is None else gain[i]
+            angular = _NO_ANGLES if table.angular is None else table.angular
+            of_angle = _NO_ANGLES if table.angular is None or gain is None else gain[i]
             add_up(table.entries, table.counts, angular, of_angle, kept[i], energy[i], slopes[i], parts[i])
 
     edges = np.linspace(0, n_rirs, threads + 1).astype(int)
@@ -107,14 +104,16 @@ def add_up(entries: IntArray, counts: Array, angular: Array, ray_gain: Array, ke
     Parameters
     ----------
     entries, counts, angular
-        As in `roomeq.loop.tables.Table`, sorted by frame; `angular` is empty for an omnidirectional source.
+        As in `roomeq.loop.tables.Table`, sorted by frame; `angular` is empty where it is unknown.
     ray_gain : ndarray of float32, shape (n_angles, 8)
+        Empty for an omnidirectional source.
     kept : ndarray of float32, shape (n_shares, 8)
         Share of the energy that each reflection leaves.
     energy, by_absorption, by_angle
         Of one RIR, as in `RayEnergy`; the last two may be empty.
     """
-    n_entries, directive, most, k = len(entries), angular.shape[1] > 0, 0, 0
+    n_entries, most, k = len(entries), 0, 0
+    directive, in_parts = len(ray_gain) > 0, len(by_angle) > 0 and len(angular) > 0
     for entry in range(n_entries):
         most = max(most, entries[entry, 1])
     left = np.empty((most + 1, _N_SHARES, 8), np.float32)  # after each number of reflections
@@ -143,7 +142,7 @@ def add_up(entries: IntArray, counts: Array, angular: Array, ray_gain: Array, ke
                 level = _times(level, gain)
                 of_walls = _plus(_plus(of_walls, np.float32(n), arriving), -np.float32(n), level)
                 of_level = _plus(of_level, np.float32(n), level)
-            if directive and len(by_angle):
+            if in_parts:
                 for angle in range(_N_ANGLES):
                     part = by_angle[frame, angle]
                     _put(part, _plus(_octaves(part), angular[k, angle], amount))

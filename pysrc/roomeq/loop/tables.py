@@ -1,13 +1,15 @@
 """Ray contributions from each source to each microphone by time, by surfaces met, and by direction at the source.
 
 One trace of a room answers every question of the loop: energies for other absorption, air or directivity are sums over
-these tables (`roomeq.loop.predict`). The surfaces of a room count as two materials, one of floor and ceiling and one of
-all others. A single material could not describe a room with carpets and acoustic tiles, where horizontal sound decays
-more slowly than the rest.
+these tables (`roomeq.loop.predict`). Contributions are collected by the direction of their departure, so that they need
+not be collected again for a source that turns.
+
+The surfaces of a room count as two materials, one of floor and ceiling and one of all others. A single material could
+not describe a room with carpets and acoustic tiles, where horizontal sound decays more slowly than the rest.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -15,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
 from roomeq.core.jit import compiled
+from roomeq.loop.traces import StoredArray
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.mesh import MeshRoom
 from roomeq.sim.paths import (
@@ -43,6 +46,12 @@ _STEP = ANGLES[1]
 OF_SPHERE = np.array([0.5 * (1.0 - np.sin(_STEP) / _STEP) if angle in (0.0, np.pi)
                       else np.sin(angle) * (1.0 - np.cos(_STEP)) / _STEP for angle in ANGLES])
 """Share of all directions at `ANGLES`, each distributed over the two angles next to it, shape (9,)."""
+_N_CELLS = 256
+_HEIGHT, _TURN = 1.0 - (2.0 * np.arange(_N_CELLS) + 1.0) / _N_CELLS, np.pi * (1.0 + np.sqrt(5.0)) * np.arange(_N_CELLS)
+_CELLS = np.stack([np.sqrt(1.0 - _HEIGHT ** 2) * np.cos(_TURN), np.sqrt(1.0 - _HEIGHT ** 2) * np.sin(_TURN), _HEIGHT],
+                  axis=1).astype(np.float32)
+"""Directions on a Fibonacci lattice, unit vectors: a ray counts as departing in the nearest one. At 8 kHz, where lobes
+are narrowest, that changes the energy of a frame by 0.3 dB (rms), below 4 kHz by 0.05 dB."""
 LEVEL_SHARES = np.linspace(0.0, 1.0, 6)
 """Grid of the share of floor and ceiling in a path's reflections."""
 _TICK_S = 1.25e-3
@@ -60,24 +69,28 @@ class Table:
     counts : ndarray, shape (n, 6)
         Squared pressure of all but the direct sound, before absorption and air, relative to ``1 / (4 pi r)^2``, at
         `LEVEL_SHARES`.
-    angular : ndarray, shape (n, 9), or None
-        Share of it that departed at `ANGLES`; None where it is unknown in which direction the source faces.
     distance_m : float
     visible : bool
         Whether the direct sound arrives.
+    angular : ndarray, shape (n, 9), or None
+        Share of it that departed at `ANGLES`; None where it is unknown in which direction the source faces.
     direct_angle : float
         Between the direct sound's departure and the direction that the source faces [rad]; 0 where that is unknown.
     facing : ndarray, shape (3,), or None
         That direction.
+    departures : StoredArray, or None
+        What `facing` needs (`turned`), where it is to be estimated: the share that departed in each cell of directions,
+        shape (n, n_cells).
     """
 
     entries: IntArray
-    counts: FloatArray
-    angular: FloatArray | None
+    counts: Array
     distance_m: float
     visible: bool
-    direct_angle: float
-    facing: FloatArray | None
+    angular: Array | None = None
+    direct_angle: float = 0.0
+    facing: FloatArray | None = None
+    departures: StoredArray | None = None
 
 
 class _Rays(NamedTuple):
@@ -117,7 +130,7 @@ def _edges_up_to(length_s: float) -> FloatArray:
     return FRAME_EDGES_S[:_USUAL_EDGES] if length_s <= FRAME_EDGES_S[_USUAL_EDGES - 1] else FRAME_EDGES_S
 
 
-def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArray | None]) -> list[Table]:
+def collect(traced: TracedSource, mics_m: ArrayLike) -> list[tuple[Table, Array]]:
     """Collect the ray contributions of a traced source to its microphones.
 
     Parameters
@@ -125,8 +138,12 @@ def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArra
     traced : roomeq.sim.response.TracedSource
         Its surfaces scatter alike in all bands.
     mics_m : array_like, shape (n_mics, 3)
-    facings : sequence of ndarray or None
-        Direction that the source faces in the recording with each microphone.
+
+    Returns
+    -------
+    list of (Table, ndarray)
+        For each microphone, the table of a source that faces nobody knows where, and the share of each entry that
+        departed in each cell of directions, shape (n, n_cells), for `turned`.
     """
     (paths,) = traced.paths
     room, source_pos_m, speed_m_s = traced.scene.room, traced.source_pos_m, traced.scene.air.speed_m_s
@@ -141,29 +158,47 @@ def collect(traced: TracedSource, mics_m: ArrayLike, facings: Sequence[FloatArra
     rays = _Rays(paths.hits, paths.codes, paths.first, paths.counts, paths.normals, paths.curved,
                  level_surfaces(room)[paths.face_surface], float(paths.scattering[0]))
     rules = Rules(-1, paths.late_m)
+    cell = np.argmax(paths.directions.astype(np.float32) @ _CELLS.T, axis=1)
+    by_cell = np.argsort(cell, kind="stable")  # so that the memory of one cell after the other is written
     tables = []
-    for m, (mic_m, facing) in enumerate(zip(mics_m, facings, strict=True)):
+    for m, mic_m in enumerate(mics_m):
         distance_m = float(np.linalg.norm(mic_m - source_pos_m))
         receiver = _Receiver(mic_m, visible[m] if len(visible) else np.zeros(0, dtype=np.uint8), radii_m[m],
                              1.0 / volumes_m3[m], distance_m, 1.0 / (speed_m_s * _TICK_S), frame_of_tick)
-        angle_node = _angles(paths.directions, facing) / _STEP
         counts = np.zeros((len(edges_s) - 1, int(paths.counts.max()) + 1, len(LEVEL_SHARES)))
-        angular = np.zeros((*counts.shape[:2], 0 if facing is None else len(ANGLES)))
-        _count(rules, rays, receiver, angle_node, counts, angular)
+        of_cells = np.zeros((_N_CELLS, *counts.shape[:2]), np.float32)
+        _count(rules, rays, receiver, by_cell, cell, counts, of_cells)
         entries = np.argwhere(counts.any(axis=2))
-        counts, angular = (whole[entries[:, 0], entries[:, 1]] for whole in (counts, angular))
-        angular /= np.maximum(angular.sum(axis=1, keepdims=True), 1e-300)
-        direct_angle = float(_angles((mic_m - source_pos_m)[None] / distance_m, facing)[0])
+        counts, departed = counts[entries[:, 0], entries[:, 1]], of_cells[:, entries[:, 0], entries[:, 1]]
+        departed /= np.maximum(departed.sum(axis=0), 1e-30)
         counts /= 4.0 * np.pi * len(paths.counts)
-        tables.append(Table(np.ascontiguousarray(entries, np.int32), counts.astype(np.float32),
-                            None if facing is None else angular.astype(np.float32), distance_m, bool(sees[m]),
-                            direct_angle, facing))
+        tables.append((Table(np.ascontiguousarray(entries, np.int32), counts.astype(np.float32), distance_m,
+                             bool(sees[m])), departed.T.astype(np.float16)))
     return tables
 
 
-def _angles(directions: FloatArray, facing: FloatArray | None) -> FloatArray:
-    """Angles [rad] between unit vectors, shape (n, 3), and a facing; 0 where that is unknown."""
-    return np.zeros(len(directions)) if facing is None else np.arccos(np.clip(directions @ facing, -1.0, 1.0))
+def turned(table: Table, departures: Array, direct: FloatArray, facing: FloatArray) -> Table:
+    """Return the table of a source that faces in a direction, a unit vector.
+
+    Parameters
+    ----------
+    table : Table
+    departures : ndarray, shape (n, n_cells)
+        From `collect`.
+    direct : ndarray, shape (3,)
+        Direction in which the direct sound departs, a unit vector.
+    facing : ndarray, shape (3,)
+    """
+    node = _angles(_CELLS, facing) / _STEP
+    shares = np.maximum(0.0, 1.0 - np.abs(node[:, None] - np.arange(len(ANGLES)))).astype(np.float32)
+    angular = departures.astype(np.float32) @ shares
+    return replace(table, angular=angular / np.maximum(angular.sum(axis=1, keepdims=True), 1e-30), facing=facing,
+                   direct_angle=float(_angles(direct[None], facing)[0]))
+
+
+def _angles(directions: Array, facing: FloatArray) -> FloatArray:
+    """Return the angles [rad] between unit vectors, shape (n, 3), and a facing."""
+    return np.asarray(np.arccos(np.clip(directions @ facing, -1.0, 1.0)))
 
 
 def level_surfaces(room: Room) -> BoolArray:
@@ -188,28 +223,30 @@ def _put(counts: FloatArray, frame: int, n: int, node: float, weight: float) -> 
 
 
 @compiled
-def _count(rules: Rules, rays: _Rays, receiver: _Receiver, angle_node: FloatArray, counts: FloatArray,
-           angular: FloatArray) -> None:
-    """Add the contributions of all rays to `counts` and `angular`, by the rules of `roomeq.sim.paths`.
+def _count(rules: Rules, rays: _Rays, receiver: _Receiver, order: IntArray, cell: IntArray, counts: FloatArray,
+           of_cells: Array) -> None:
+    """Add the contributions of all rays to `counts` and `of_cells`, by the rules of `roomeq.sim.paths`.
 
     Parameters
     ----------
     rules : Rules
     rays : _Rays
     receiver : _Receiver
-    angle_node : ndarray, shape (n_rays,)
-        Angle of departure of each ray, in steps of `ANGLES`.
+    order : ndarray of int, shape (n_rays,)
+        In which the rays are added.
+    cell : ndarray of int, shape (n_rays,)
+        Of the direction in which each ray departs.
     counts : ndarray, shape (n_frames, n_reflections, 6)
-    angular : ndarray, shape (n_frames, n_reflections, 9 or 0)
+    of_cells : ndarray of float32, shape (n_cells, n_frames, n_reflections)
     """
     hits, codes, first, n_hits, normals, curved, level, scattering = rays  # counting references takes time in the loop
     mic, visible, frame_of_tick, distance_m = (receiver.position_m, receiver.visible, receiver.frame_of_tick,
                                                receiver.distance_m)
-    all_visible, n_ticks, directive = len(visible) == 0, len(frame_of_tick), angular.shape[2] > 0
+    all_visible, n_ticks = len(visible) == 0, len(frame_of_tick)
     radius_m, per_volume, ticks_per_m = receiver.radius_m, receiver.per_volume, receiver.ticks_per_m
     n_shares = counts.shape[2] - 1.0
-    for ray in range(len(n_hits)):
-        weight, n_level = 1.0, 0
+    for ray in order:
+        weight, n_level, departed = 1.0, 0, of_cells[cell[ray]]
         step, hit = at_source(), (0.0, 0.0, 0.0, 0.0)
         for n in range(n_hits[ray]):
             at = first[ray] + n
@@ -227,9 +264,9 @@ def _count(rules: Rules, rays: _Rays, receiver: _Receiver, angle_node: FloatArra
                     tick = int((path + 0.5 * (enter + leave) - distance_m) * ticks_per_m)
                     if leave > enter and tick < n_ticks and (all_visible or visible[at] & BEHIND == 0):
                         amount = weight * (leave - enter) * per_volume
-                        _put(counts, frame_of_tick[max(tick, 0)], n, n_shares * n_level / n, amount)
-                        if directive:
-                            _put(angular, frame_of_tick[max(tick, 0)], n, angle_node[ray], amount)
+                        frame = frame_of_tick[max(tick, 0)]
+                        _put(counts, frame, n, n_shares * n_level / n, amount)
+                        departed[frame, n] += np.float32(amount)
             if n + 1 == n_hits[ray]:
                 break
             face = codes[at] >> 2
@@ -245,6 +282,6 @@ def _count(rules: Rules, rays: _Rays, receiver: _Receiver, angle_node: FloatArra
                 tick = int((new_path + d - distance_m) * ticks_per_m)
                 if cosine > 0.0 and tick < n_ticks and (all_visible or visible[at] & SEEN):
                     amount = weight * step.scattered * cosine / (np.pi * d2)
-                    _put(counts, frame_of_tick[max(tick, 0)], n + 1, n_shares * n_level / (n + 1), amount)
-                    if directive:
-                        _put(angular, frame_of_tick[max(tick, 0)], n + 1, angle_node[ray], amount)
+                    frame = frame_of_tick[max(tick, 0)]
+                    _put(counts, frame, n + 1, n_shares * n_level / (n + 1), amount)
+                    departed[frame, n + 1] += np.float32(amount)

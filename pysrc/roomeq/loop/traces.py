@@ -25,7 +25,7 @@ _SAMPLE = ("weight", "reflection_counts", "last_reflection", "specular", "rays")
 """Arrays of a `PathSample` that are kept in the file."""
 
 
-class _StoredArray(NamedTuple):
+class _Place(NamedTuple):
     """Where an array lies in the file, and what it is."""
 
     offset: int
@@ -60,15 +60,19 @@ class TraceFile:
                 stored[id(sample)] = StoredSample(_emptied(sample, _SAMPLE), self._save(sample, _SAMPLE), self)
         return [stored[id(sample)] for sample in samples]
 
-    def load(self, holder: Holder, arrays: Mapping[str, _StoredArray], names: Sequence[str]) -> Holder:
+    def store_array(self, array: Array) -> "StoredArray":
+        """Move an array to the file."""
+        return StoredArray(self._append(np.ascontiguousarray(array)), self)
+
+    def load(self, holder: Holder, arrays: Mapping[str, _Place], names: Sequence[str]) -> Holder:
         """Return a holder with some of its arrays, which are mapped from the file, and leave memory with it."""
-        loaded: dict[str, Any] = {name: self._map(arrays[name]) for name in names}
+        loaded: dict[str, Any] = {name: self.load_array(arrays[name]) for name in names}
         return replace(holder, **loaded)
 
-    def _save(self, holder: Paths | PathSample, names: Sequence[str]) -> dict[str, _StoredArray]:
+    def _save(self, holder: Paths | PathSample, names: Sequence[str]) -> dict[str, _Place]:
         return {name: self._append(np.ascontiguousarray(getattr(holder, name))) for name in names}
 
-    def _append(self, array: Array) -> _StoredArray:
+    def _append(self, array: Array) -> _Place:
         if os.getpid() != self._maker:
             raise RuntimeError("a forked process stores in the file of another")
         with self._lock:  # mappings begin at whole pages
@@ -82,9 +86,10 @@ class TraceFile:
         except OSError as error:
             raise ValueError(f"{tempfile.gettempdir()}: {error.strerror}: free some space there, or name another "
                              "folder for temporary files in TMPDIR") from None
-        return _StoredArray(offset, array.dtype, array.shape)
+        return _Place(offset, array.dtype, array.shape)
 
-    def _map(self, stored: _StoredArray) -> Array:
+    def load_array(self, stored: _Place) -> Array:
+        """Return an array, which is mapped from the file."""
         n_bytes = math.prod(stored.shape) * stored.dtype.itemsize
         if n_bytes == 0:
             return np.empty(stored.shape, stored.dtype)
@@ -94,11 +99,23 @@ class TraceFile:
 
 
 @dataclass(frozen=True, eq=False)
+class StoredArray:
+    """An array in a `TraceFile`."""
+
+    place: _Place
+    file: TraceFile
+
+    def load(self) -> Array:
+        """Return the array, which is mapped from the file, and leaves memory with it."""
+        return self.file.load_array(self.place)
+
+
+@dataclass(frozen=True, eq=False)
 class StoredSample:
     """A `PathSample` in a `TraceFile`: `bare` is without its arrays."""
 
     bare: PathSample
-    arrays: Mapping[str, _StoredArray]
+    arrays: Mapping[str, _Place]
     file: TraceFile
 
     def load(self) -> PathSample:
@@ -121,7 +138,7 @@ class StoredTrace:
     """
 
     bare: TracedSource
-    arrays: tuple[Mapping[str, _StoredArray], ...]
+    arrays: tuple[Mapping[str, _Place], ...]
     has_paths: bool
     file: TraceFile
 

@@ -31,6 +31,7 @@ class Rirs:
     places: list = field(default_factory=lambda: [SimpleNamespace(source_pos_m=source_m, mic_pos_m=mic_m)
                                                   for source_m in SOURCES_M for mic_m in MICS_M])
     facings: tuple = ()
+    given_kinds: frozenset = frozenset()
     axis: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     rows: list = field(default_factory=lambda: [dict(source_id="ls", room_id="room", room_dims_m=[8.0, 6.0, 3.0])
                                                 for _ in SOURCES_M for _ in MICS_M])
@@ -66,7 +67,7 @@ def estimate_from(rirs, of_angles, alike, monkeypatch):
     found = {}
     monkeypatch.setattr(facing, "_log_likelihood", lambda *_: (of_angles, np.full((1, len(rirs.rows)), alike)))
     monkeypatch.setattr(facing, "with_facings", lambda data, facings, **_: found.update(facings) or data)
-    data = estimate_facings(rirs, *[None] * 5)
+    data = estimate_facings(rirs, SimpleNamespace(effects=()), *[None] * 4)
     (estimated,) = data.facings
     n_axes = {"towards the microphone": 0, "fixed": estimated.positions, "free": len(rirs.rows)}[estimated.hypothesis]
     assert sorted(set(data.axis)) == (list(range(n_axes)) if n_axes else [-1])

@@ -31,7 +31,7 @@ def test_energy_of_every_time_window_is_that_of_the_echogram(room):
     speed_m_s = scene.air.speed_m_s
     echograms = compute_echograms(traced.paths[0], room, scene.absorption, MICS_M, ism_order=-1,
                                   n_frames=int(LENGTH_S / FRAME_S), speed_m_s=speed_m_s).energy[:, :, 0]
-    for table, echogram in zip(collect(traced, MICS_M, [None, None]), echograms, strict=True):
+    for (table, _), echogram in zip(collect(traced, MICS_M), echograms, strict=True):
         frames, reflections = table.entries.T
         # of a uniform absorption, every share of floor and ceiling leaves the same
         energy = table.counts.sum(axis=1) * (1.0 - ABSORPTION) ** reflections
@@ -46,7 +46,7 @@ def test_energy_of_every_time_window_is_that_of_the_echogram(room):
 def test_frames_last_longer_where_rays_do(length_s, last_s):
     scene = Scene(Shoebox((6.0, 4.0, 3.0)), [Material("all", 0.01, 0.3)] * 6)
     traced = trace_source(scene, SOURCE_M, num_rays=1000, max_length_s=length_s, rng=np.random.default_rng(0))
-    tables = collect(traced, MICS_M, [None, None])
+    tables = [table for table, _ in collect(traced, MICS_M)]
     assert frame_edges_s(tables)[-1] == pytest.approx(last_s, abs=1e-3)
     assert FRAME_EDGES_S[max(table.entries[:, 0].max() for table in tables)] == pytest.approx(length_s, rel=0.1)
 
