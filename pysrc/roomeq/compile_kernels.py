@@ -15,6 +15,7 @@ from roomeq.acoustics.parameters import measure
 from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import FS_HZ
 from roomeq.effects.spherical_cap import cap_gain
+from roomeq.effects.wavefield import high_passed
 from roomeq.loop.arrivals import log_likelihood
 from roomeq.loop.features import measure_features
 from roomeq.loop.predict import decay_times
@@ -82,6 +83,7 @@ def predict() -> None:
     points = np.ones((1, 3))
     log_likelihood(np.ones(10), points, np.ones(1), points, points, np.zeros((1, 3), int), np.ones((1, 1)))
     cap_gain(1.0, 0.1, 0.5)
+    high_passed(np.zeros(8), 0.1)
 
 
 def _cube() -> FloatArray:

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import scipy  # its submodules are slow to import and load themselves when first used
 from numpy.typing import ArrayLike
+from scipy.fft import irfft, next_fast_len, rfft
 
 from roomeq.acoustics.minimum_phase import minimum_phase
 from roomeq.acoustics.octaves import SPECTRUM_HZ
@@ -53,4 +53,6 @@ class Response(Effect):
         state.response_db[rows] += np.array(self.gains_db)
 
     def on_rir(self, rir: FloatArray, rendering: Rendering) -> FloatArray:
-        return scipy.signal.oaconvolve(rir, minimum_phase(RESPONSE_HZ, self.gains_db))[:len(rir)]
+        taps = minimum_phase(RESPONSE_HZ, self.gains_db)
+        n_fft = next_fast_len(len(rir) + len(taps) - 1, real=True)
+        return irfft(rfft(rir, n_fft) * rfft(taps, n_fft), n_fft)[:len(rir)]

@@ -26,6 +26,7 @@ from scipy.special import sici
 
 from roomeq.core.arrays import Array, FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ
+from roomeq.core.jit import compiled
 from roomeq.effects.prism import is_prism, prism_modes
 from roomeq.effects.voxels import mode_count, voxel_modes
 from roomeq.sim.mesh import MeshRoom
@@ -166,7 +167,7 @@ def modal_response(modes: Modes, source_pos_m: ArrayLike, mic_pos_m: ArrayLike, 
     rir += scale * -np.expm1(-rate * np.arange(n_samples) / fs_hz) / rate
     missing = 1.0 - 2.0 / np.pi * sici(2.0 * np.pi * modes.f_max_hz / modes.speed_m_s * distance_m)[0]
     rir[0] += missing / (4.0 * np.pi * distance_m)
-    return scipy.signal.sosfilt(_highpass(fs_hz), rir)
+    return high_passed(rir, np.tan(np.pi * HIGHPASS_HZ / fs_hz))
 
 
 def _powers(base: Array, n: int) -> Array:
@@ -180,9 +181,20 @@ def _powers(base: Array, n: int) -> Array:
     return powers
 
 
-@lru_cache(maxsize=4)
-def _highpass(fs_hz: float) -> FloatArray:
-    return scipy.signal.butter(2, HIGHPASS_HZ, "highpass", fs=fs_hz, output="sos")
+@compiled
+def high_passed(signal: FloatArray, warped: float) -> FloatArray:
+    """Filter by a Butterworth high-pass of second order, by its bilinear transform (direct form 2, transposed).
+
+    `warped` is the tangent of half its angular frequency per sample.
+    """
+    scale = 1.0 + np.sqrt(2.0) * warped + warped ** 2
+    first, second = 2.0 * (warped ** 2 - 1.0) / scale, (1.0 - np.sqrt(2.0) * warped + warped ** 2) / scale
+    output, later, last = np.empty(len(signal)), 0.0, 0.0
+    for n in range(len(signal)):
+        sample = signal[n] / scale
+        output[n] = sample + later
+        later, last = -2.0 * sample - first * output[n] + last, sample - second * output[n]
+    return output
 
 
 def crossover_hz(room: Room, t60_s: ArrayLike, speed_m_s: float) -> float:

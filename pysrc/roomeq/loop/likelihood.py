@@ -68,11 +68,14 @@ def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid:
                      sigma: FloatArray, omega: FloatArray) -> NormalEquations:
     """Return the normal equations of room `r`; large residuals are down-weighted (Huber)."""
     members, columns, own = index.members[r], index.columns[r], index.own_place[r]
-    values, (places, alike) = index.room_derivatives(r, derivatives), index.room_places(r)
+    places, alike = index.room_places(r)
     ok = valid[members]
     error, slope = huber_root(residual[members], ok, sigma, omega)
     last = max(len(columns), own.max() + 1)  # place of the residual
-    values = np.concatenate([np.where(ok[:, :, None], slope[:, :, None] * values, 0.0), error[:, :, None]], axis=2)
+    values = index.room_derivatives(r, derivatives, error)  # large: scaled in place
+    values[:, :, :-1] *= (slope / sigma)[:, :, None]
+    values[:, :, -1] /= sigma
+    values[~ok] = 0.0
     product = _whitened_product(values, np.pad(places, ((0, 0), (0, 1)), constant_values=last), alike, ok, sigma, omega)
     n = len(columns)
     count = ok.sum(axis=0)
@@ -89,7 +92,7 @@ def _whitened_product(values: FloatArray, places: IntArray, alike: Sequence[IntA
     Parameters
     ----------
     values : ndarray, shape (n_rirs, n_features, n)
-        What is not zero in the rows of the matrix; 0 where invalid.
+        What is not zero in the rows of the matrix, over `sigma`; 0 where invalid.
     places : ndarray of int, shape (n_rirs, n)
         Their columns in the matrix, the same for all features of an RIR.
     alike : sequence of ndarray of int
@@ -98,10 +101,9 @@ def _whitened_product(values: FloatArray, places: IntArray, alike: Sequence[IntA
     sigma, omega : ndarray, shape (n_features,)
     """
     size, count = places.max() + 1, valid.sum(axis=0)
-    values = values / sigma[:, None]
     product, total = np.zeros((size, size)), np.zeros((len(sigma), size))
     for rirs in alike:
-        place, of_group = places[rirs[0]], values[rirs]
+        place, of_group = places[rirs[0]], values if len(alike) == 1 else values[rirs]
         stacked = of_group.reshape(-1, of_group.shape[2])
         product[np.ix_(place, place)] += stacked.T @ stacked
         total[:, place] += of_group.sum(axis=0)

@@ -333,13 +333,16 @@ class ParameterIndex:
         on_threads(lambda job, arguments: job(*arguments), jobs, threads)
         return at.features + correction, Derivatives(by_surface, by_effect)
 
-    def room_derivatives(self, r: int, derivatives: Derivatives) -> FloatArray:
-        """Return derivatives of a room's RIRs by the parameters of `room_places`, (n_rirs_of_room, n_features, n)."""
+    def room_derivatives(self, r: int, derivatives: Derivatives, residual: FloatArray) -> FloatArray:
+        """Return derivatives of a room's RIRs by the parameters of `room_places`, and last their residual.
+
+        The shapes are (n_rirs_of_room, n_features, n + 1), and (n_rirs_of_room, n_features) of the residual.
+        """
         members, (by_surface, by_effect) = self.members[r], derivatives
         values = [by_surface[members], HAS_GAIN[:, None] * self.gain_design[r][:, None, :]]
         for effect in self.effects:
             values += [by_effect[effect][members]] * (2 if effect.SCOPE == "rir" else 1)
-        return np.concatenate(values, axis=2)
+        return np.concatenate([*values, residual[:, :, None]], axis=2)
 
     def room_places(self, r: int) -> tuple[IntArray, list[IntArray]]:
         """Return which parameters the RIRs of a room depend on.

@@ -39,6 +39,7 @@ from roomeq.sim.scene import eyring_area_of_mean, time_of_area_s
 
 N_BANDS = len(EXACT_BANDS_HZ)
 _db = partial(power_db, floor=FLOOR_POWER)
+_DB = 10.0 / np.log(10.0)
 _N_DIRECT = len(DIRECT_THIRDS_HZ)
 _GATE_FADE_S = 5e-4
 """Time in which the gate of the direct sound closes."""
@@ -277,7 +278,7 @@ def decay_times(direct: FloatArray, energy: FloatArray, edges_s: FloatArray, pul
             curve[1] = total + energy[i, 0, band] * (1.0 - pulse_s[band] / edges_s[1])
             curve[0] = total + energy[i, 0, band] + direct[i, band]
             for node in range(n_frames + 2):
-                log_curve[node] = np.log10(max(curve[node], 1e-30))
+                log_curve[node] = np.log(max(curve[node], 1e-30))
                 if curve[node] < lowest * curve[0]:
                     break
             for k in range(3):
@@ -296,7 +297,7 @@ def _slope(curve: FloatArray, log_curve: FloatArray, edges_s: FloatArray, top: f
         while frame + 2 < len(curve) and edges_s[frame + 1] < time:
             frame += 1
         part = (time - edges_s[frame]) / (edges_s[frame + 1] - edges_s[frame])
-        level = 10.0 * (log_curve[frame] * (1.0 - part) + log_curve[frame + 1] * part)
+        level = _DB * (log_curve[frame] * (1.0 - part) + log_curve[frame + 1] * part)
         centred = time - 0.5 * (first + last)
         sum_ty += centred * level
         sum_tt += centred * centred
