@@ -72,9 +72,9 @@ class Meter:
             sys.stderr.write(_LINE)
             sys.stderr.flush()
 
-    def advance(self) -> None:
-        """Count one more item."""
-        self.done += 1
+    def advance(self, count: int = 1) -> None:
+        """Count one more item, or several."""
+        self.done += count
         tick()
 
     def left_s(self, now: float) -> float | None:

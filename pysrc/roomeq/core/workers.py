@@ -24,6 +24,7 @@ PARENT_CHECKED_S = 0.5
 PER_CORE = 4
 """Largest number of processes per core."""
 
+_RUNS = 16  # of items that a process works on one after the other: to hand over each by itself takes time
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 _watcher = 0  # process that watches its parent
@@ -116,11 +117,14 @@ def share_out(work: Callable[[Item], Result], items: Iterable[Item], nj: int, *,
         for item in items[:n_here]:
             results.append(work(item))
             meter.advance()
-        of_rest: dict[int, Result] = {}
-        for n, result in forked(work, items[n_here:], nj):
-            of_rest[n] = result
-            meter.advance()
-        return results + [of_rest[n] for n in range(len(of_rest))]
+        rest = items[n_here:]
+        size = max(1, len(rest) // (_RUNS * n_processes(nj, len(rest) or 1)))
+        runs = [rest[first:first + size] for first in range(0, len(rest), size)]
+        of_runs: dict[int, list[Result]] = {}
+        for n, of_run in forked(lambda run: [work(item) for item in run], runs, nj):
+            of_runs[n] = of_run
+            meter.advance(len(of_run))
+        return results + [result for n in range(len(runs)) for result in of_runs[n]]
 
 
 def may_fork() -> bool:

@@ -91,9 +91,15 @@ class SourceDirectivity(Effect):
 
     def apply_to_prediction(self, state: PredictionState, data: PredictedRirs, rows: IntArray) -> None:
         rows = rows[[data.tables[n].angular is not None for n in rows]]
-        fine, weights = _neighbourhoods(tuple(data.angles))
-        gains, direct = np.split(self.on_paths(np.cos(np.concatenate([fine, state.direct_angle[rows]]))), [len(fine)])
-        state.apply_directivity(rows, weights @ gains, direct)
+        direct = self.on_paths(np.cos(state.direct_angle[rows]))
+        state.apply_directivity(rows, _ray_gains(self, tuple(data.angles)), direct)
+
+
+@lru_cache(maxsize=256)
+def _ray_gains(directivity: SourceDirectivity, angles: tuple[float, ...]) -> FloatArray:
+    """Return the energy gain of rays at the angles of a grid, shape (n_angles, 8); a fit asks for the same again."""
+    fine, weights = _neighbourhoods(angles)
+    return weights @ directivity.on_paths(np.cos(fine))
 
 
 @lru_cache(maxsize=2)
