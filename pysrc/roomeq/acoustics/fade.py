@@ -14,6 +14,7 @@ import numpy as np
 from roomeq.acoustics.decay_kernels import strongest_power
 from roomeq.acoustics.decibels import power_db
 from roomeq.core.arrays import FloatArray
+from roomeq.core.jit import compiled
 
 _SHORTEST_PART_S = 0.02
 _FADED_DB, _WHOLE_DB = 4.5, 1.0
@@ -40,10 +41,13 @@ _FEWEST_STEPS, _MOST_STEPS = 2.0 ** 4, 2.0 ** 32
 """From the lowest to the highest sample: a few pulses of equal height are not quantised, nor are floats."""
 
 
+@compiled
 def length_before_zeros(rir: FloatArray) -> int:
     """Return the number of samples ahead of digital silence at the end of a response; 0 if it is silent."""
-    sounds = rir[::-1] != 0.0
-    return len(rir) - int(np.argmax(sounds)) if sounds.any() else 0
+    n_samples = len(rir)
+    while n_samples > 0 and rir[n_samples - 1] == 0.0:
+        n_samples -= 1
+    return n_samples
 
 
 def length_before_silence(rir: FloatArray, fs_hz: float) -> int:

@@ -15,7 +15,7 @@ from typing import NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
+from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
 from roomeq.core.jit import compiled
 from roomeq.loop.traces import StoredArray
 from roomeq.sim.echogram import FRAME_S
@@ -83,7 +83,7 @@ class Table:
         shape (n, n_cells).
     """
 
-    entries: IntArray
+    entries: Array
     counts: Array
     distance_m: float
     visible: bool
@@ -159,21 +159,21 @@ def collect(traced: TracedSource, mics_m: ArrayLike) -> list[tuple[Table, Array]
                  level_surfaces(room)[paths.face_surface], float(paths.scattering[0]))
     rules = Rules(-1, paths.late_m)
     cell = np.argmax(paths.directions.astype(np.float32) @ _CELLS.T, axis=1)
-    by_cell = np.argsort(cell, kind="stable")  # so that the memory of one cell after the other is written
+    by_cell = np.argsort(cell, kind="stable")
     tables = []
     for m, mic_m in enumerate(mics_m):
         distance_m = float(np.linalg.norm(mic_m - source_pos_m))
         receiver = _Receiver(mic_m, visible[m] if len(visible) else np.zeros(0, dtype=np.uint8), radii_m[m],
                              1.0 / volumes_m3[m], distance_m, 1.0 / (speed_m_s * _TICK_S), frame_of_tick)
         counts = np.zeros((len(edges_s) - 1, int(paths.counts.max()) + 1, len(LEVEL_SHARES)))
-        of_cells = np.zeros((_N_CELLS, *counts.shape[:2]), np.float32)
-        _count(rules, rays, receiver, by_cell, cell, counts, of_cells)
-        entries = np.argwhere(counts.any(axis=2))
-        counts, departed = counts[entries[:, 0], entries[:, 1]], of_cells[:, entries[:, 0], entries[:, 1]]
-        departed /= np.maximum(departed.sum(axis=0), 1e-30)
-        counts /= 4.0 * np.pi * len(paths.counts)
-        tables.append((Table(np.ascontiguousarray(entries, np.int32), counts.astype(np.float32), distance_m,
-                             bool(sees[m])), departed.T.astype(np.float16)))
+        found = _count(rules, rays, receiver, by_cell, cell, counts)
+        filled = np.flatnonzero(counts.any(axis=2))
+        departed = _by_entry(*found, filled, counts[:, :, 0].size)
+        departed /= np.maximum(departed.sum(axis=1, keepdims=True), 1e-30)
+        entries = np.stack(np.divmod(filled, counts.shape[1]), axis=1).astype(np.int32)
+        of_entries = counts.reshape(-1, len(LEVEL_SHARES))[filled] / (4.0 * np.pi * len(paths.counts))
+        tables.append((Table(entries, of_entries.astype(np.float32), distance_m, bool(sees[m])),
+                       departed.astype(np.float16)))
     return tables
 
 
@@ -223,9 +223,9 @@ def _put(counts: FloatArray, frame: int, n: int, node: float, weight: float) -> 
 
 
 @compiled
-def _count(rules: Rules, rays: _Rays, receiver: _Receiver, order: IntArray, cell: IntArray, counts: FloatArray,
-           of_cells: Array) -> None:
-    """Add the contributions of all rays to `counts` and `of_cells`, by the rules of `roomeq.sim.paths`.
+def _count(rules: Rules, rays: _Rays, receiver: _Receiver, order: IntArray, cell: IntArray, counts: FloatArray
+           ) -> tuple[Array, Array, IntArray]:
+    """Add the contributions of all rays to `counts`, by the rules of `roomeq.sim.paths`, and to cells of directions.
 
     Parameters
     ----------
@@ -233,11 +233,18 @@ def _count(rules: Rules, rays: _Rays, receiver: _Receiver, order: IntArray, cell
     rays : _Rays
     receiver : _Receiver
     order : ndarray of int, shape (n_rays,)
-        In which the rays are added.
+        Rays by their cell.
     cell : ndarray of int, shape (n_rays,)
         Of the direction in which each ray departs.
     counts : ndarray, shape (n_frames, n_reflections, 6)
-    of_cells : ndarray of float32, shape (n_cells, n_frames, n_reflections)
+
+    Returns
+    -------
+    place : ndarray of int32, shape (n,)
+        Where there is a contribution in the first two axes of `counts`, one cell after the other.
+    amount : ndarray of float32, shape (n,)
+    end : ndarray of int, shape (n_cells,)
+        After the last of each cell.
     """
     hits, codes, first, n_hits, normals, curved, level, scattering = rays  # counting references takes time in the loop
     mic, visible, frame_of_tick, distance_m = (receiver.position_m, receiver.visible, receiver.frame_of_tick,
@@ -245,8 +252,13 @@ def _count(rules: Rules, rays: _Rays, receiver: _Receiver, order: IntArray, cell
     all_visible, n_ticks = len(visible) == 0, len(frame_of_tick)
     radius_m, per_volume, ticks_per_m = receiver.radius_m, receiver.per_volume, receiver.ticks_per_m
     n_shares = counts.shape[2] - 1.0
-    for ray in order:
-        weight, n_level, departed = 1.0, 0, of_cells[cell[ray]]
+    n_reflections, most = counts.shape[1], 2 * len(hits)
+    place, amounts, end = np.empty(most, np.int32), np.empty(most, np.float32), np.zeros(_N_CELLS, np.int64)
+    of_cell = np.zeros(counts.shape[0] * n_reflections, np.float32)  # of one after the other: all would be large
+    n_found = n_kept = 0
+    for k in range(len(order)):
+        ray = order[k]
+        weight, n_level = 1.0, 0
         step, hit = at_source(), (0.0, 0.0, 0.0, 0.0)
         for n in range(n_hits[ray]):
             at = first[ray] + n
@@ -266,7 +278,7 @@ def _count(rules: Rules, rays: _Rays, receiver: _Receiver, order: IntArray, cell
                         amount = weight * (leave - enter) * per_volume
                         frame = frame_of_tick[max(tick, 0)]
                         _put(counts, frame, n, n_shares * n_level / n, amount)
-                        departed[frame, n] += np.float32(amount)
+                        n_found = _note(place, n_found, of_cell, frame * n_reflections + n, np.float32(amount))
             if n + 1 == n_hits[ray]:
                 break
             face = codes[at] >> 2
@@ -284,4 +296,38 @@ def _count(rules: Rules, rays: _Rays, receiver: _Receiver, order: IntArray, cell
                     amount = weight * step.scattered * cosine / (np.pi * d2)
                     frame = frame_of_tick[max(tick, 0)]
                     _put(counts, frame, n + 1, n_shares * n_level / (n + 1), amount)
-                    departed[frame, n + 1] += np.float32(amount)
+                    n_found = _note(place, n_found, of_cell, frame * n_reflections + n + 1, np.float32(amount))
+        if k + 1 == len(order) or cell[order[k + 1]] != cell[ray]:
+            for at in range(n_kept, n_found):
+                amounts[at] = of_cell[place[at]]
+                of_cell[place[at]] = 0.0
+            n_kept = n_found
+            end[cell[ray]] = n_kept
+    return place[:n_kept], amounts[:n_kept], end
+
+
+@compiled
+def _note(place: Array, n_found: int, of_cell: Array, at: int, amount: Number) -> int:
+    """Add an amount to a cell, whose first amount at a place makes it one more that is found; return their number."""
+    if of_cell[at] == 0.0:
+        place[n_found] = at
+        n_found += 1
+    of_cell[at] += amount
+    return n_found
+
+
+@compiled
+def _by_entry(place: Array, amount: Array, end: IntArray, filled: IntArray, size: int) -> Array:
+    """Return the amounts of `_count` of each entry in each cell, shape (n_entries, n_cells).
+
+    The entries lie at `filled` of `size` places.
+    """
+    entry_at, by_entry = np.zeros(size, np.int64), np.zeros((len(filled), len(end)), np.float32)
+    for entry in range(len(filled)):
+        entry_at[filled[entry]] = entry
+    first = 0
+    for cell in range(len(end)):
+        for n in range(first, end[cell]):
+            by_entry[entry_at[place[n]], cell] = amount[n]
+        first = max(first, end[cell])
+    return by_entry
