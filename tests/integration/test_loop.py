@@ -477,6 +477,9 @@ def test_energy_of_rays_at_another_absorption_and_directivity_is_that_of_another
     for one in (rays, of_directive):
         np.testing.assert_allclose(one.at(directive), of_directive.energy, rtol=1e-4, atol=1e-6 * whole.max())
         np.testing.assert_allclose(one.at(turned_away), 0.5 * of_directive.energy, rtol=1e-4, atol=1e-6 * whole.max())
+    for other in (above, directive):
+        with pytest.raises(ValueError, match="not summed"):
+            sum_rays(data, state).at(other)
 
 
 @pytest.mark.parametrize("order", [("source_response", "source_directivity"), ("source_directivity", "noise_floor")])

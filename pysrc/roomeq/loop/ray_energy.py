@@ -45,12 +45,22 @@ class RayEnergy:
     by_angle: Array
 
     def at(self, state: PredictionState) -> FloatArray:
-        """Return the energy for another absorption, to first order, and another directivity, as `energy`."""
+        """Return the energy for another absorption, to first order, and another directivity, as `energy`.
+
+        Raises
+        ------
+        ValueError
+            What that needs was not summed (`sum_rays`).
+        """
         energy = self.energy
         if not same(state.absorption, self.absorption):
+            if self.by_absorption.shape[1] != 2:
+                raise ValueError("derivatives by the absorption were not summed")
             step = (state.absorption - self.absorption)[:, :, None, :]
             energy = energy - (self.by_absorption * step).sum(axis=1)
         if state.ray_gain is not None and not same(state.ray_gain, self.ray_gain):
+            if self.by_angle.shape[1] != energy.shape[1]:
+                raise ValueError("parts by angle of departure were not summed")
             energy = energy.copy()
             add_gain(self.by_angle, state.ray_gain - (1.0 if self.ray_gain is None else self.ray_gain), energy)
         return energy
