@@ -18,6 +18,7 @@ from roomeq.effects.spherical_cap import cap_gain
 from roomeq.effects.wavefield import high_passed
 from roomeq.loop.arrivals import log_likelihood
 from roomeq.loop.features import measure_features
+from roomeq.loop.likelihood import add_block
 from roomeq.loop.predict import decay_times
 from roomeq.loop.ray_energy import add_gain, add_up
 from roomeq.loop.tables import ANGLES, collect, turned
@@ -80,6 +81,7 @@ def predict() -> None:
            np.ones((n_shares, 8), np.float32), energy[0], np.zeros((2, n_frames, 8)), by_angle[0])
     add_gain(by_angle, np.ones((1, n_angles, 8)), energy)
     decay_times(np.ones((1, 8)), energy, np.arange(energy.shape[1] + 1.0), np.ones(8), np.empty((1, 3, 8)))
+    add_block(np.ones((1, 1)), np.zeros(1, int), np.ones((1, 1)), 1.0)
     points = np.ones((1, 3))
     log_likelihood(np.ones(10), points, np.ones(1), points, points, np.zeros((1, 3), int), np.ones((1, 1)))
     cap_gain(1.0, 0.1, 0.5)

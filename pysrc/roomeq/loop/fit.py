@@ -22,7 +22,7 @@ from roomeq.core.progress import progress
 from roomeq.effects.base import Effect, correlation_of_bands
 from roomeq.loop.data import Data
 from roomeq.loop.features import HAS_GAIN, N_FEATURES
-from roomeq.loop.likelihood import NormalEquations, all_normal_equations, misfit, scatter
+from roomeq.loop.likelihood import NormalEquations, add_block, all_normal_equations, misfit, scatter
 from roomeq.loop.packing import LEVEL_KINDS, N_SURFACE, OWN_SCOPES, Derivatives, Linearization, ParameterIndex
 from roomeq.loop.predict import N_BANDS
 
@@ -288,7 +288,7 @@ def solve_step(normal: list[NormalEquations], precision: list[FloatArray], mean:
     for room, of_prior, own in zip(normal, precision, local, strict=True):
         posterior = inverted(room.own_own + (1.0 + damping) * of_prior)
         own_right = room.own_residual - of_prior @ own
-        total[room.block] += room.shared_shared - room.own_shared.T @ posterior @ room.own_shared
+        add_block(total, room.columns, room.shared_shared - room.own_shared.T @ posterior @ room.own_shared, 1.0)
         right[room.columns] += room.shared_residual - room.own_shared.T @ posterior @ own_right
         rooms.append((posterior, room, own_right))
     step = np.linalg.solve(total, right)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
-from roomeq.core.jit import on_threads
+from roomeq.core.jit import compiled, on_threads
 from roomeq.loop.data import Data
 from roomeq.loop.features import METRIC, N_FEATURES
 from roomeq.loop.packing import Derivatives, ParameterIndex
@@ -51,10 +51,13 @@ class NormalEquations:
     log_scale: float
     columns: IntArray
 
-    @property
-    def block(self) -> tuple[IntArray, ...]:
-        """Where `shared_shared` lies in a matrix of all shared parameters."""
-        return np.ix_(self.columns, self.columns)
+
+@compiled
+def add_block(matrix: FloatArray, place: IntArray, block: FloatArray, sign: float) -> None:
+    """Add a block to a matrix in place, or subtract it; its rows and its columns lie at `place`, shape (n,)."""
+    for row in range(len(place)):
+        for column in range(len(place)):
+            matrix[place[row], place[column]] += sign * block[row, column]
 
 
 def all_normal_equations(index: ParameterIndex, residual: FloatArray, valid: BoolArray, derivatives: Derivatives,
@@ -103,9 +106,9 @@ def _whitened_product(values: FloatArray, places: IntArray, alike: Sequence[IntA
     size, count = places.max() + 1, valid.sum(axis=0)
     product, total = np.zeros((size, size)), np.zeros((len(sigma), size))
     for rirs in alike:
-        place, of_group = places[rirs[0]], values if len(alike) == 1 else values[rirs]
+        place, of_group = np.ascontiguousarray(places[rirs[0]]), values if len(alike) == 1 else values[rirs]
         stacked = of_group.reshape(-1, of_group.shape[2])
-        product[np.ix_(place, place)] += stacked.T @ stacked
+        add_block(product, place, stacked.T @ stacked, 1.0)
         total[:, place] += of_group.sum(axis=0)
     # sum over n RIRs of (x - p m)(x - p m)' = sum of x x' less n (1 - (1 - p)^2) m m', m being the mean of x
     kept = sigma ** 2 / (sigma ** 2 + count * omega ** 2)  # (1 - p)^2

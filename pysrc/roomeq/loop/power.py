@@ -20,7 +20,7 @@ from roomeq.core.rng import rng_for
 from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect
 from roomeq.loop.fit import shared_prior
-from roomeq.loop.likelihood import normal_equations
+from roomeq.loop.likelihood import add_block, normal_equations
 from roomeq.loop.packing import ParameterIndex
 from roomeq.loop.rendered_model import in_order
 from roomeq.loop.selection import LEVEL, MIN_SIZE_JND, Candidate, size_of_change_jnd
@@ -92,7 +92,7 @@ def _information(session: Session, change: FloatArray) -> FloatArray:
     total = shared_prior(index).precision
     right = np.zeros(len(total))
     for room, inverse in zip(rooms, inverses, strict=True):
-        total[room.block] += room.shared_shared - room.own_shared.T @ inverse @ room.own_shared
+        add_block(total, room.columns, room.shared_shared - room.own_shared.T @ inverse @ room.own_shared, 1.0)
         right[room.columns] += room.shared_residual - room.own_shared.T @ inverse @ room.own_residual
     shared = np.linalg.solve(total, right)
     return np.array([room.residual_residual - room.shared_residual @ shared[room.columns]

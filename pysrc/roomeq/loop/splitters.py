@@ -34,7 +34,7 @@ from roomeq.loop.fit import (
     start_from_measured,
     take_step,
 )
-from roomeq.loop.likelihood import NormalEquations, all_normal_equations, huber_root, normal_equations
+from roomeq.loop.likelihood import NormalEquations, add_block, all_normal_equations, huber_root, normal_equations
 from roomeq.loop.packing import GAIN_KINDS, LEVEL_KINDS, N_SURFACE, OWN_SCOPES, Linearization, ParameterIndex
 from roomeq.loop.predict import N_BANDS, ReflectedEnergy
 from roomeq.loop.session import Session
@@ -79,7 +79,7 @@ class HeldOutRoom:
     @property
     def precision(self) -> FloatArray:
         """Of the posterior of the shared parameters, shape (n_shared, n_shared)."""
-        return _less(self.of_all, self.of_room, np.ix_(self.columns, self.columns))
+        return _less(self.of_all, self.of_room, self.columns)
 
 
 class Usable(NamedTuple):
@@ -133,7 +133,7 @@ def leave_rooms_out(data: Data, fitted: Fit, groups: IntArray | None = None) -> 
     alone = [_without_own(*of_room) for of_room in zip(fitted.normal, fitted.precision, fitted.local, strict=True)]
     total, right = prior.precision.copy(), prior.precision @ (prior.mean - fitted.mean)
     for room, (of_room, right_of_room) in zip(fitted.normal, alone, strict=True):
-        total[room.block] += of_room
+        add_block(total, room.columns, of_room, 1.0)
         right[room.columns] += right_of_room
     of_all = cho_factor(total)
     # the step that remains from the fit: 0 at its optimum, not where a parameter of an effect is at its limit, and
@@ -142,14 +142,15 @@ def leave_rooms_out(data: Data, fitted: Fit, groups: IntArray | None = None) -> 
     groups = np.arange(len(alone)) if groups is None else groups
     held_out = []
     for r, (room, (of_room, right_of_room)) in enumerate(zip(fitted.normal, alone, strict=True)):
-        with_room, right_with_room = total, right
+        with_room, right_with_room = total, right.copy()
         mates = np.flatnonzero((groups == groups[r]) & (np.arange(len(alone)) != r))
         for s in mates:
-            with_room = _less(with_room, alone[s][0], fitted.normal[s].block)
-            right_with_room = _less(right_with_room, alone[s][1], fitted.normal[s].columns)
+            with_room = _less(with_room, alone[s][0], fitted.normal[s].columns)
+            right_with_room[fitted.normal[s].columns] -= alone[s][1]
         of_all_left = cho_factor(with_room) if len(mates) else of_all
-        of_others = cho_factor(_less(with_room, of_room, room.block))
-        step = cho_solve(of_others, _less(right_with_room, right_of_room, room.columns)) - rejected
+        of_others = cho_factor(_less(with_room, of_room, room.columns))
+        right_with_room[room.columns] -= right_of_room
+        step = cho_solve(of_others, right_with_room) - rejected
         held_out.append(HeldOutRoom(fitted.mean + step, with_room, of_room, room.columns,
                                     _log_density(fitted, r, of_all_left, of_others, step)))
     return held_out
@@ -166,10 +167,10 @@ def rooms_by_devices(data: Data) -> IntArray:
     return connected_components(shared, directed=False)[1][:len(data.room_names)]
 
 
-def _less(whole: FloatArray, part: FloatArray, at: Any) -> FloatArray:
-    """Return an array from which a part is subtracted at some places."""
+def _less(whole: FloatArray, part: FloatArray, columns: IntArray) -> FloatArray:
+    """Return a matrix from which a block is subtracted, whose rows and columns are `columns`."""
     rest = whole.copy()
-    rest[at] -= part
+    add_block(rest, columns, part, -1.0)
     return rest
 
 
@@ -318,7 +319,7 @@ def _calibration_system(index: ParameterIndex, fitted: Fit, r: int, room: HeldOu
     columns = n + equations.columns
     matrix[:n, :n] = equations.own_own + inverse
     matrix[:n, columns], matrix[columns, :n] = equations.own_shared, equations.own_shared.T
-    matrix[np.ix_(columns, columns)] += equations.shared_shared
+    add_block(matrix, columns, np.ascontiguousarray(equations.shared_shared), 1.0)
     right[columns] += equations.shared_residual
     return matrix, right
 
@@ -367,7 +368,7 @@ def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
     prior = shared_prior(before)
     precision: FloatArray = prior.precision.copy()
     for room, of_own, own in zip(fitted.normal, fitted.precision, fitted.local, strict=True):
-        precision[room.block] += _without_own(room, of_own, own)[0]
+        add_block(precision, room.columns, _without_own(room, of_own, own)[0], 1.0)
     covariance = np.linalg.inv(precision)
     mean, spread = np.zeros(index.n_shared), np.zeros((index.n_shared, index.n_shared))
     mean[:N_SURFACE], spread[:N_SURFACE, :N_SURFACE] = fitted.mean[:N_SURFACE], covariance[:N_SURFACE, :N_SURFACE]
