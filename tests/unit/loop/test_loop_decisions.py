@@ -155,7 +155,7 @@ def test_predicted_features_follow_the_speed_of_sound(faster):
     counts[:, 0] = arriving
     entries = np.stack([np.arange(len(arriving)), np.zeros(len(arriving), int)], axis=1)
     data = SimpleNamespace(
-        rows=[{}], room=np.zeros(1, int), given_to=[], tables=[Table(entries, counts, None, 1.0, False, 0.0, None)],
+        rows=[{}], room=np.zeros(1, int), given_to=[], tables=[Table(entries, counts, 1.0, False)],
         distance_m=np.ones(1), speed_m_s=np.array([343.0]), air_per_m=np.zeros((1, 8)), white=np.full((1, 8), 1e-9),
         frame_edges_s=FRAME_EDGES_S)
     state = base_state(data, np.full((1, 2, 8), 0.1))
@@ -173,7 +173,7 @@ def test_predicted_features_follow_the_speed_of_sound(faster):
 def test_direct_sound_that_misses_its_gate_counts_as_early(delay_s, in_gate):
     data = SimpleNamespace(
         rows=[{}], room=np.zeros(1, int), given_to=[], distance_m=np.ones(1), speed_m_s=np.array([343.0]),
-        tables=[Table(np.array([[1, 0]]), np.full((1, 6), 1e-9), None, 1.0, True, 0.0, None)],
+        tables=[Table(np.array([[1, 0]]), np.full((1, 6), 1e-9), 1.0, True)],
         air_per_m=np.zeros((1, 8)), white=np.full((1, 8), 1e-9), frame_edges_s=FRAME_EDGES_S)
     state = base_state(data, np.full((1, 2, 8), 0.1))
     state.delay_s[:] = delay_s
