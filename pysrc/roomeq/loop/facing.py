@@ -275,19 +275,18 @@ def with_facings(data: Data, facings: Mapping[int, FloatArray], *, resample: boo
         if not same(tables[n].facing, facing):  # an estimate that is made again often finds the same
             departures = cast(StoredArray, tables[n].departures).load()
             tables[n] = turned(tables[n], departures, towards_microphone(data.places[n]), facing)
-    by_trace = numbers_by(id(traced) for traced in data.traced) if resample else {}
+    by_trace = _sharing(sorted(facings), [id(traced) for traced in data.traced]) if resample else []
 
     def draw(members: list[int]) -> None:
-        drawn_again = [n for n in members if n in facings and not same(sampled_facings[n], facings[n])]
+        drawn_again = [n for n in members if not same(sampled_facings[n], facings[n])]
         if not drawn_again:
             return
         traced, mics_m = data.traced[members[0]].load(), np.array([data.places[n].mic_pos_m for n in drawn_again])
-        of_source = [n for n in members if n in facings]
-        decays_s = decay_range_s(data.features[of_source], data.valid[of_source], LENGTHS_S[0]) or UNKNOWN_DECAYS_S
+        decays_s = decay_range_s(data.features[members], data.valid[members], LENGTHS_S[0]) or UNKNOWN_DECAYS_S
         drawn = draw_path_samples(traced, mics_m, [facings[n] for n in drawn_again], decays_s,
                                   [rng_for(data.seed, "loop paths", data.rows[n]["id"]) for n in drawn_again])
         for n, sample in zip(drawn_again, data.traced[members[0]].file.store_samples(drawn), strict=True):
             path_samples[n], sampled_facings[n] = sample, facings[n]
 
-    on_threads(draw, [(members,) for members in by_trace.values()], threads)
+    on_threads(draw, [(members,) for members in by_trace], threads)
     return replace(data, rows=rows, tables=tables, path_samples=path_samples, sampled_facings=sampled_facings)
