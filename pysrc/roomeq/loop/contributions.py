@@ -1,0 +1,227 @@
+"""Contributions of traced rays to microphones: when each arrives, after which reflections, and how much it is.
+
+What a reflection sends by the rules of `roomeq.sim.paths` depends on its ray alone, and is found once for a source
+(`walk_rays`). For each microphone only distances are needed (`add_contributions`): the distance of a segment's line
+follows from those of its ends by the law of cosines.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
+from roomeq.core.jit import compiled, inlined
+from roomeq.sim.paths import BEHIND, SEEN, Rules, at_source, follow, segment_counts
+from roomeq.sim.trace import Paths
+
+_ZERO, _HALF, _ONE, _SHORTEST_M = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(1e-6)
+_INVERSE_PI = np.float32(1.0 / np.pi)
+
+
+class Rays(NamedTuple):
+    """Traced rays, as `roomeq.sim.trace.Paths` stores them."""
+
+    hits: Array
+    codes: Array
+    first: IntArray
+    n_hits: IntArray
+
+
+class Walk(NamedTuple):
+    """What the stored reflections of the rays of one source send, whatever the microphone.
+
+    Attributes
+    ----------
+    length_m : ndarray of float32, shape (n_stored,)
+        Of the segment that leads to each reflection.
+    crossing : ndarray of float32, shape (n_stored,)
+        Energy of the ray on that segment; 0 where the segment does not count.
+    scattered : ndarray of float32, shape (n_stored,)
+        Energy that the reflection sends to each microphone in front of it, per square metre at 1 m along the normal.
+    low : ndarray of uint8, shape (n_stored,)
+        Share of floor and ceiling among the reflections up to this one, and with it: the point of a grid below it.
+    high : ndarray of float32, shape (n_stored,)
+        And its place from there to the next point, in [0, 1].
+    offset_m : ndarray, shape (n_faces,)
+        Distance of the plane of each face from the origin, along its normal.
+    """
+
+    length_m: Array
+    crossing: Array
+    scattered: Array
+    low: Array
+    high: Array
+    offset_m: FloatArray
+
+
+class Receiver(NamedTuple):
+    """A microphone, the sphere around it, and the time axis of its table.
+
+    Attributes
+    ----------
+    position_m : ndarray of float32, shape (3,)
+    in_front_m : ndarray of float32, shape (n_faces,)
+        Distance from the plane of each face, negative behind it.
+    visible : ndarray of uint8, shape (n_stored,)
+        Which reflections it sees, by `roomeq.sim.paths.reflection_visibility`; empty if it sees all.
+    radius_m, per_volume : float32
+        Of the sphere [m, 1/m3].
+    distance_m : float32
+        From the source; contributions are counted from the direct sound on.
+    ticks_per_m : float32
+    place_of_tick : ndarray of int32, shape (n_ticks,)
+        Number of the frame times that of the numbers of reflections: where its row begins in a table of both.
+    """
+
+    position_m: Array
+    in_front_m: Array
+    visible: Array
+    radius_m: Number
+    per_volume: Number
+    distance_m: Number
+    ticks_per_m: Number
+    place_of_tick: Array
+
+
+def walk_rays(paths: Paths, level: BoolArray, n_shares: int) -> Walk:
+    """Walk along all rays of a source by the rules of `roomeq.sim.paths`.
+
+    `level` tells which faces are floor or ceiling, shape (n_faces,), and there are `n_shares` points in the grid of
+    their share. All surfaces scatter alike.
+    """
+    length_m, crossing, scattered, high = (np.zeros(len(paths.codes), np.float32) for _ in range(4))
+    walk = Walk(length_m, crossing, scattered, np.zeros(len(paths.codes), np.uint8), high, np.zeros(len(paths.normals)))
+    _walk(Rules(-1, paths.late_m), paths.hits, paths.codes, paths.first, paths.counts,
+          paths.source_pos_m.astype(np.float32), paths.normals, paths.curved, level, n_shares,
+          np.float32(paths.scattering[0]), walk)
+    return walk
+
+
+@compiled
+def _walk(rules: Rules, hits: Array, codes: Array, first: IntArray, n_hits: IntArray, source_m: Array,
+          normals: FloatArray, curved: BoolArray, level: BoolArray, n_shares: int, scattering: Number, walk: Walk
+          ) -> None:
+    """Fill the arrays of a walk."""
+    length_m, crossing, scattered, low, high, offset_m = walk  # counting references takes time in the loop
+    n_steps = n_shares - 1
+    for ray in range(len(first)):
+        weight, met, step = _ONE, 0, at_source()
+        x, y, z = source_m[0], source_m[1], source_m[2]
+        for n in range(n_hits[ray]):
+            at = first[ray] + n
+            u, v, w = hits[at, 0] - x, hits[at, 1] - y, hits[at, 2] - z
+            x, y, z = hits[at, 0], hits[at, 1], hits[at, 2]
+            length_m[at] = max(np.sqrt(u * u + v * v + w * w), _SHORTEST_M)
+            if segment_counts(step, rules, n):
+                crossing[at] = weight
+            if n + 1 == n_hits[ray]:
+                break  # nothing is reflected there
+            face = codes[at] >> 2
+            offset_m[face] = x * normals[face, 0] + y * normals[face, 1] + z * normals[face, 2]
+            step = follow(step, rules, codes[at], hits[at, 3], scattering, curved[face])
+            if step.represents_two:
+                weight += weight
+            met += 1 if level[face] else 0
+            node = n_steps * met / (n + 1)
+            low[at] = min(int(node), n_steps - 1)
+            high[at], scattered[at] = node - low[at], weight * step.scattered * _INVERSE_PI
+
+
+@compiled
+def add_contributions(rays: Rays, walk: Walk, receiver: Receiver, counts: FloatArray
+                      ) -> tuple[Array, Array, IntArray]:
+    """Add the contributions of all rays to `counts`, and list them.
+
+    Parameters
+    ----------
+    rays : Rays
+    walk : Walk
+    receiver : Receiver
+    counts : ndarray, shape (n_frames, n_reflections, n_shares)
+        Energy per frame, number of reflections, and share of floor and ceiling among these; in place.
+
+    Returns
+    -------
+    place : ndarray of int32, shape (n_contributions,)
+        In the first two axes of `counts`, ray by ray.
+    amount : ndarray of float32, shape (n_contributions,)
+    end : ndarray of int, shape (n_rays,)
+        After the last contribution of each ray.
+    """
+    hits, codes, first, n_hits = rays
+    mic, in_front_m, visible = receiver.position_m, receiver.in_front_m, receiver.visible
+    x, y, z, distance_m, ticks_per_m = mic[0], mic[1], mic[2], receiver.distance_m, receiver.ticks_per_m
+    place_of_tick, n_ticks = receiver.place_of_tick, len(receiver.place_of_tick)
+    square_m2, per_volume = receiver.radius_m * receiver.radius_m, receiver.per_volume
+    flat, all_visible, most, found = counts.reshape(-1, counts.shape[2]), len(visible) == 0, n_hits.max(), 0
+    # of the reflections of a ray: what each sends to the microphone, and what its segments leave in the sphere
+    square, sent, left = np.empty(most + 1, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
+    sent_tick, left_tick = np.empty(most, np.int32), np.empty(most, np.int32)
+    place, amount = np.empty(2 * len(hits), np.int32), np.empty(2 * len(hits), np.float32)
+    end = np.empty(len(first), np.int64)
+    square[0] = distance_m * distance_m
+    for ray in range(len(first)):
+        stored = slice(first[ray], first[ray] + n_hits[ray])
+        hit, code, length_m, crossing = hits[stored], codes[stored], walk.length_m[stored], walk.crossing[stored]
+        scattered, low, high = walk.scattered[stored], walk.low[stored], walk.high[stored]
+        for n in range(len(hit)):  # this loop and the next two without branches, so that they are vectorised
+            u, v, w = x - hit[n, 0], y - hit[n, 1], z - hit[n, 2]
+            square[n + 1] = u * u + v * v + w * w
+        for n in range(len(hit)):
+            away_m = np.sqrt(square[n + 1])
+            sent[n] = scattered[n] * in_front_m[code[n] >> 2] / (square[n + 1] * away_m)
+            sent_tick[n] = np.int32((hit[n, 3] + away_m - distance_m) * ticks_per_m)
+        for n in range(len(hit)):
+            along = _HALF * (length_m[n] + (square[n] - square[n + 1]) / length_m[n])
+            inside = square_m2 - square[n] + along * along
+            half = np.sqrt(inside if inside > _ZERO else _ZERO)
+            enter, leave = along - half, along + half
+            enter, leave = enter if enter > _ZERO else _ZERO, leave if leave < length_m[n] else length_m[n]
+            left[n] = crossing[n] * per_volume * (leave - enter)
+            left_tick[n] = np.int32((hit[n, 3] - length_m[n] + _HALF * (enter + leave) - distance_m) * ticks_per_m)
+        for n in range(len(hit)):
+            if left[n] > _ZERO and left_tick[n] < n_ticks and (all_visible or visible[stored][n] & BEHIND == 0):
+                place[found], amount[found] = place_of_tick[max(left_tick[n], 0)] + n, left[n]
+                _put(flat[place[found]], low[n - 1], high[n - 1], left[n])
+                found += 1
+        for n in range(len(hit)):
+            if sent[n] > _ZERO and sent_tick[n] < n_ticks and (all_visible or visible[stored][n] & SEEN):
+                place[found], amount[found] = place_of_tick[max(sent_tick[n], 0)] + n + 1, sent[n]
+                _put(flat[place[found]], low[n], high[n], sent[n])
+                found += 1
+        end[ray] = found
+    return place[:found], amount[:found], end
+
+
+@inlined
+def _put(shares: FloatArray, low: int, high: Number, weight: Number) -> None:
+    """Distribute a weight over a point of a grid and the next one."""
+    shares[low] += weight * (_ONE - high)
+    shares[low + 1] += weight * high
+
+
+@compiled
+def by_direction(place: Array, amount: Array, end: IntArray, cell: IntArray, n_cells: int, filled: IntArray, size: int
+                 ) -> Array:
+    """Return how much of each entry departed in each cell of directions, shape (n_entries, n_cells).
+
+    Parameters
+    ----------
+    place, amount, end
+        From `add_contributions`.
+    cell : ndarray of int, shape (n_rays,)
+        Of the direction in which each ray departs.
+    n_cells : int
+    filled : ndarray of int, shape (n_entries,)
+        Places of the entries, of `size` in all.
+    size : int
+    """
+    entry_at, departed, first = np.zeros(size, np.int64), np.zeros((len(filled), n_cells), np.float32), 0
+    for entry in range(len(filled)):
+        entry_at[filled[entry]] = entry
+    for ray in range(len(end)):
+        for n in range(first, end[ray]):
+            departed[entry_at[place[n]], cell[ray]] += amount[n]
+        first = end[ray]
+    return departed
+
