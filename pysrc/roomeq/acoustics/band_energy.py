@@ -37,9 +37,9 @@ def energy_per_bin(part: FloatArray, n_fft: int) -> FloatArray:
     return _both_signs(rfft(part, n_fft), n_fft)
 
 
-def energy_in_bands(bands: Bands, energy: FloatArray, n_fft: int) -> FloatArray:
-    """Return the energy in each band of a spectrum from `energy_per_bin` at `FS_HZ`, shape (n_bands,)."""
-    return _filtered(energy, FS_HZ / n_fft, *bands)
+def energy_in_bands(bands: Bands, energy: FloatArray, n_fft: int, fs_hz: float = FS_HZ) -> FloatArray:
+    """Return the energy in each band of a spectrum from `energy_per_bin`, shape (n_bands,)."""
+    return _filtered(energy, fs_hz / n_fft, *bands)
 
 
 @compiled

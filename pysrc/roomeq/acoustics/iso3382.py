@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from roomeq.acoustics.band_energy import energy_per_bin
+from roomeq.acoustics.band_energy import OCTAVES, Bands, energy_in_bands, energy_per_bin
 from roomeq.acoustics.decay_kernels import first_below, net_energy, slope, strongest_power
 from roomeq.acoustics.decibels import TINY_POWER, power_db
 from roomeq.acoustics.direct import find_direct
@@ -37,11 +37,10 @@ from roomeq.acoustics.fade import length_before_fade
 from roomeq.acoustics.noise_intersection import (
     NOISE_MARGIN_DB,
     NoiseIntersection,
-    dot,
     find_noise_intersection,
     remaining_energy,
 )
-from roomeq.acoustics.octaves import LEAD_S, octave_bands, octave_fft_size, octave_power_gains, octave_width_hz
+from roomeq.acoustics.octaves import LEAD_S, octave_bands, octave_fft_size, octave_width_hz
 from roomeq.core.arrays import FloatArray
 from roomeq.core.constants import exact_bands_hz
 
@@ -117,14 +116,12 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float, *, bandwi
         reflections is no noise floor.
     """
     start = max(0, round(direct_sample))
-    power = np.square(band)
-    before = power[max(0, start - round(LEAD_S * fs_hz)):start]
-    after = power[start:]
+    before, after = band[max(0, start - round(LEAD_S * fs_hz)):start], band[start:]
     remaining = remaining_energy(after)
     intersection = (NoiseIntersection(len(after), 0.0, 0.0, is_flat=False) if noiseless
                     else find_noise_intersection(remaining, fs_hz, bandwidth_hz))
     energy = net_energy(remaining[:intersection.sample + 1], intersection.noise_power) + intersection.rest_energy
-    total = energy[0] + before.sum()
+    total = energy[0] + remaining_energy(before)[0]
     energy[0] = total
     rest = max(intersection.rest_energy,
                _unexplained_energy(remaining, intersection, fs_hz, bandwidth_hz or 0.5 * fs_hz))
@@ -133,7 +130,7 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float, *, bandwi
         range_db = 0.0
     n_block = max(1, round(0.005 * fs_hz))
     floor_db = float(power_db(intersection.noise_power)
-                     - power_db(strongest_power(after[:20 * n_block], n_block))) if intersection.is_flat else None
+                     - power_db(strongest_power(np.square(after[:20 * n_block], dtype=np.float64), n_block))) if intersection.is_flat else None
     return Decay(energy / max(total, TINY_POWER), range_db, floor_db, intersection,
                  float(remaining[intersection.sample]))
 
@@ -226,31 +223,33 @@ def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = Non
         direct_sample=float(direct_sample), direct_polarity=int(polarity),
         drr_db=_drr_db(rir, fs_hz, direct_sample, broadband.intersection),
         noise_intersection_s=broadband.intersection.sample / fs_hz, noise_floor_db=broadband.noise_floor_db)
-    spectra = _Spectra(rir, fs_hz)
-    rows = [_band_metrics(spectra, band, decay, direct_sample)
+    parts = _Parts(rir, fs_hz)
+    rows = [_band_metrics(parts, band, decay, direct_sample)
             for band, decay in enumerate(octave_decays(rir, fs_hz, direct_sample))]
     result.update({key: [row[key] for row in rows] for key in rows[0]})
     return result
 
 
-class _Spectra:
-    """Energy spectra of sections of a response; each spectrum is computed once and serves all octave bands."""
+class _Parts:
+    """Energies of parts of a response in octave bands; each spectrum is computed once and serves all bands."""
 
     def __init__(self, rir: FloatArray, fs_hz: float) -> None:
-        self.rir, self.fs_hz, self.n_fft = rir, fs_hz, octave_fft_size(len(rir), fs_hz)
+        self.rir, self.fs_hz = rir, fs_hz
+        self._octaves = Bands(np.array(exact_bands_hz(fs_hz)), OCTAVES.quality)
         self._computed: dict[tuple[int, int], FloatArray] = {}
 
     def energy(self, first: int, last: int, band: int) -> float:
         """Return the energy of samples `first` up to, but not including, `last` in octave number `band`."""
         if (first, last) not in self._computed:
-            self._computed[first, last] = energy_per_bin(self.rir[first:last], self.n_fft)
-        band_hz = exact_bands_hz(self.fs_hz)[band]
-        return dot(octave_power_gains(self.n_fft, self.fs_hz, band_hz), self._computed[first, last])
+            n_fft = octave_fft_size(last - first, self.fs_hz)
+            spectrum = energy_per_bin(self.rir[first:last], n_fft)
+            self._computed[first, last] = energy_in_bands(self._octaves, spectrum, n_fft, self.fs_hz)
+        return float(self._computed[first, last][band])
 
 
-def _band_metrics(spectra: _Spectra, band: int, curve: Decay, direct_sample: float) -> dict[str, Any]:
+def _band_metrics(parts: _Parts, band: int, curve: Decay, direct_sample: float) -> dict[str, Any]:
     """Return the parameters of octave number `band` from its decay, and the validity of each."""
-    fs_hz = spectra.fs_hz
+    fs_hz = parts.fs_hz
     edc_db = curve.down_to_db(LOWEST_DB)
     times_s = {decay: decay_time(edc_db, fs_hz, decay) for decay in DECAYS_DB}
     row: dict[str, Any] = {}
@@ -261,7 +260,7 @@ def _band_metrics(spectra: _Spectra, band: int, curve: Decay, direct_sample: flo
         row[f"{decay}_s"] = time_s
         row[f"{decay}_valid"] = bool(time_s is not None and curve.range_db >= NOISE_MARGIN_DB - DECAYS_DB[decay][1]
                                      and exact_bands_hz(fs_hz)[band] * np.sqrt(0.5) * shortest_s > MIN_BT)
-    row["c50_db"] = _c50_db(spectra, band, direct_sample, curve)
+    row["c50_db"] = _c50_db(parts, band, direct_sample, curve)
     # C50 is early relative to late energy: if it is large, late energy is nearly C50 below the total; the noise must
     # be below that by a margin
     row["c50_valid"] = bool(row["c50_db"] is not None
@@ -272,20 +271,20 @@ def _band_metrics(spectra: _Spectra, band: int, curve: Decay, direct_sample: flo
     return row
 
 
-def _c50_db(spectra: _Spectra, band: int, direct_sample: float, curve: Decay) -> float | None:
+def _c50_db(parts: _Parts, band: int, direct_sample: float, curve: Decay) -> float | None:
     """Return the early-to-late energy ratio of one octave band; None if a part has no energy.
 
     The response is divided before it is filtered, because the filter would spread energy over the boundary. What comes
     before the direct sound by more than `LEAD_S` is another sound, or noise. What comes after the intersection, where
     noise hides what the filter spreads, is taken off the filtered response, so that all octaves share a spectrum.
     """
-    boundary = round(direct_sample + EARLY_S * spectra.fs_hz)
-    first = max(0, round(direct_sample - LEAD_S * spectra.fs_hz))
+    boundary = round(direct_sample + EARLY_S * parts.fs_hz)
+    first = max(0, round(direct_sample - LEAD_S * parts.fs_hz))
     end = round(direct_sample) + curve.intersection.sample
     if end <= boundary:
         return None
     noise_power = curve.intersection.noise_power
-    early, late = (spectra.energy(*part, band) for part in ((first, boundary), (boundary, len(spectra.rir))))
+    early, late = (parts.energy(*part, band) for part in ((first, boundary), (boundary, len(parts.rir))))
     late += curve.intersection.rest_energy - curve.beyond - (end - boundary) * noise_power
     early -= (boundary - first) * noise_power
     return float(power_db(early) - power_db(late)) if early > 0.0 and late > 0.0 else None

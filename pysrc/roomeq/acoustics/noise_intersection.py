@@ -46,11 +46,6 @@ class NoiseIntersection:
     is_flat: bool
 
 
-def dot(first: Array, second: Array) -> float:
-    """Return an inner product without BLAS, whose threads wait for each other longer than so little work takes."""
-    return float(np.einsum("i,i->", first, second))
-
-
 def find_noise_intersection(remaining: FloatArray, fs_hz: float, bandwidth_hz: float | None = None
                             ) -> NoiseIntersection:
     """Find where a decay meets the noise floor, by Lundeby's iteration.
@@ -73,15 +68,15 @@ def find_noise_intersection(remaining: FloatArray, fs_hz: float, bandwidth_hz: f
 
 
 @compiled
-def remaining_energy(power: FloatArray) -> FloatArray:
-    """Return the sum of a power from each sample to the end and, last, 0, shape (n_samples + 1,).
+def remaining_energy(response: Array) -> FloatArray:
+    """Return the energy of a response from each sample to the end and, last, 0, shape (n_samples + 1,).
 
     The energy of any block is a difference of two of them. Summed from the end, they are exact to a rounding of what is
     left at that time, however far the response has decayed.
     """
-    remaining, total = np.zeros(len(power) + 1), 0.0
-    for n in range(len(power) - 1, -1, -1):
-        total += power[n]
+    remaining, total = np.zeros(len(response) + 1), 0.0
+    for n in range(len(response) - 1, -1, -1):
+        total += np.float64(response[n]) ** 2
         remaining[n] = total
     return remaining
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.core.arrays import Array, FloatArray, IntArray
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ, exact_bands_hz
 
 OCTAVE_WIDTH_HZ = (np.minimum(np.array(EXACT_BANDS_HZ) * np.sqrt(2.0), 0.5 * FS_HZ)
@@ -43,7 +43,6 @@ def octave_fft_size(n_samples: int, fs_hz: float) -> int:
     return next_fast_len(-(-(n_samples + round(2 * LEAD_S * fs_hz)) // _FFT_GRID) * _FFT_GRID, real=True)
 
 
-@lru_cache(maxsize=128)
 def octave_gains(n_fft: int, fs_hz: float, band_hz: float) -> FloatArray:
     """Return the amplitude response of a zero-phase octave filter.
 
@@ -62,25 +61,25 @@ def octave_gains(n_fft: int, fs_hz: float, band_hz: float) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_fft // 2 + 1,)
-        Read-only.
     """
     ratio = np.maximum(np.fft.rfftfreq(n_fft, 1.0 / fs_hz), 1e-3) / band_hz
-    gains = 1.0 / np.sqrt(1.0 + (np.sqrt(2.0) * (ratio - 1.0 / ratio)) ** (2 * FILTER_ORDER))
-    gains.flags.writeable = False
-    return gains
+    return np.asarray(1.0 / np.sqrt(1.0 + (np.sqrt(2.0) * (ratio - 1.0 / ratio)) ** (2 * FILTER_ORDER)))
 
 
-@lru_cache(maxsize=128)
-def octave_power_gains(n_fft: int, fs_hz: float, band_hz: float) -> FloatArray:
-    """Return the power response of an octave filter; see `octave_gains`."""
-    gains = np.square(octave_gains(n_fft, fs_hz, band_hz))
+@lru_cache(maxsize=16)
+def _gains(n_fft: int, fs_hz: float, bands_hz: tuple[float, ...]) -> Array:
+    """Return the amplitude responses of some octave filters, shape (n_bands, n_fft // 2 + 1), read-only float32."""
+    gains = np.array([octave_gains(n_fft, fs_hz, band_hz) for band_hz in bands_hz], np.float32)
     gains.flags.writeable = False
     return gains
 
 
 def octave_bands(rir: FloatArray, fs_hz: float, bands_hz: Sequence[float] | None = None, *,
-                 lead: int = 0) -> FloatArray:
+                 lead: int = 0) -> Array:
     """Split a response into octave bands with zero-phase filters.
+
+    Single precision is enough: the rounding of each band lies 140 dB below its peak. scipy's FFT transforms four rows of
+    it in the time of one.
 
     Parameters
     ----------
@@ -95,12 +94,9 @@ def octave_bands(rir: FloatArray, fs_hz: float, bands_hz: Sequence[float] | None
 
     Returns
     -------
-    ndarray, shape (n_bands, lead + n_samples)
+    ndarray of float32, shape (n_bands, lead + n_samples)
     """
-    bands_hz = exact_bands_hz(fs_hz) if bands_hz is None else bands_hz
+    bands_hz = tuple(exact_bands_hz(fs_hz) if bands_hz is None else bands_hz)
     n_fft = octave_fft_size(len(rir), fs_hz)
-    spectrum, bands = rfft(rir, n_fft), np.empty((len(bands_hz), lead + len(rir)))
-    for band, band_hz in zip(bands, bands_hz, strict=True):
-        filtered = irfft(spectrum * octave_gains(n_fft, fs_hz, band_hz), n_fft)
-        band[:lead], band[lead:] = filtered[n_fft - lead:], filtered[:len(rir)]
-    return bands
+    filtered = irfft(rfft(rir, n_fft).astype(np.complex64) * _gains(n_fft, fs_hz, bands_hz), n_fft)
+    return np.concatenate([filtered[:, n_fft - lead:], filtered[:, :len(rir)]], axis=1)

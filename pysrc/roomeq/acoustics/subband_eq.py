@@ -119,8 +119,7 @@ def _eq_part(rir: FloatArray, direct_sample: float, fs_hz: float, last: int) -> 
         raise ValueError(f"direct_sample={direct_sample:g} must lie before the response's end, {last}: "
                          "find it again")
     start = max(0, direct - round(N_LEAD * fs_hz / FS_HZ))
-    power = np.square(rir[direct:last], dtype=np.float64)
-    stop = direct + find_noise_intersection(remaining_energy(power), fs_hz).sample
+    stop = direct + find_noise_intersection(remaining_energy(rir[direct:last]), fs_hz).sample
     return EqPart(start, min(max(stop, start + frame_length(fs_hz)), len(rir)))
 
 

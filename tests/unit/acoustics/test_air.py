@@ -5,7 +5,7 @@ import pytest
 
 from roomeq.acoustics.air import air_absorption_db_m, band_attenuation_per_m, speed_of_sound_m_s
 from roomeq.acoustics.filterbank import octave_filterbank
-from roomeq.acoustics.octaves import octave_power_gains
+from roomeq.acoustics.octaves import octave_gains
 from roomeq.core.constants import EXACT_BANDS_HZ, FS_HZ, exact_bands_hz
 
 # ISO 9613-2:1996, table 2 (computed by ISO 9613-1 at the exact mid-band frequencies 63 Hz to 8 kHz) [dB/km]
@@ -48,7 +48,7 @@ def test_octave_at_half_the_sample_rate_decays_as_what_is_recorded_of_it(fs_hz, 
     frequency_hz = np.fft.rfftfreq(4096, 1.0 / fs_hz)
     per_s = of_room_per_s + speed_m_s * air_absorption_db_m(frequency_hz, 20.0, humidity_pct) * np.log(10.0) / 10.0
     time_s = np.linspace(0.0, 0.5, 1000)
-    curve = octave_power_gains(4096, fs_hz, band_hz) / per_s @ np.exp(-np.outer(per_s, time_s))
+    curve = octave_gains(4096, fs_hz, band_hz) ** 2 / per_s @ np.exp(-np.outer(per_s, time_s))
     level_db = 10.0 * np.log10(curve / curve[0])
     in_t30 = (level_db < -5.0) & (level_db > -35.0)
     t30_s = -60.0 / np.polyfit(time_s[in_t30], level_db[in_t30], 1)[0]

@@ -59,7 +59,7 @@ def test_noise_intersection_lies_where_decay_meets_noise(snr_db):
     time_s = 0.6
     intersections_s, levels_db = [], []
     for seed in range(5):
-        intersection = find_noise_intersection(remaining_energy(room(time_s, seed, snr_db=snr_db)[DIRECT:] ** 2), FS_HZ)
+        intersection = find_noise_intersection(remaining_energy(room(time_s, seed, snr_db=snr_db)[DIRECT:]), FS_HZ)
         intersections_s.append(intersection.sample / FS_HZ)
         levels_db.append(10 * np.log10(intersection.noise_power))
     assert np.mean(intersections_s) == pytest.approx(time_s * snr_db / 60.0, rel=0.05)
@@ -122,7 +122,7 @@ def test_strong_direct_sound_leaves_t20_and_t30_valid():
 
 
 def test_response_ending_above_its_noise_has_no_floor():
-    intersection = find_noise_intersection(remaining_energy(room(1.5, length_s=0.7)[DIRECT:] ** 2), FS_HZ)
+    intersection = find_noise_intersection(remaining_energy(room(1.5, length_s=0.7)[DIRECT:]), FS_HZ)
     assert (intersection.sample, intersection.noise_power) == (round(0.7 * FS_HZ), 0.0)
     # energy of the decay beyond the truncation: 1/(2 rate) of the power at its end
     expected = 10.0 ** (-6.0 * 0.7 / 1.5) * 1.5 * FS_HZ / (6.0 * np.log(10.0))
