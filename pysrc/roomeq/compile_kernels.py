@@ -18,12 +18,12 @@ from roomeq.effects.spherical_cap import cap_gain
 from roomeq.effects.wavefield import high_passed
 from roomeq.loop.arrivals import log_likelihood
 from roomeq.loop.features import measure_features
-from roomeq.loop.likelihood import add_block
+from roomeq.loop.likelihood import Sparse, add_block, append_nonzero, whitened_product
 from roomeq.loop.predict import decay_times
 from roomeq.loop.ray_energy import add_gain, add_up
 from roomeq.loop.tables import ANGLES, collect, turned
 from roomeq.sim.mesh import MeshRoom
-from roomeq.sim.response import simulate_responses, trace_source
+from roomeq.sim.response import simulate_responses, trace_every_ray, trace_source
 from roomeq.sim.scene import Material, Scene, Shoebox
 
 _SCENE = Scene(Shoebox((3.0, 3.0, 3.0)), [Material("all", (0.3,) * 8, (0.2,) * 8)] * 6)
@@ -55,6 +55,9 @@ def simulate() -> None:
     # paths of many reflections
     small = Scene(Shoebox((1.0, 1.0, 1.0)), [Material("hard", (0.03,) * 8, (0.2,) * 8)] * 6)
     simulate_responses(small, (0.2, 0.2, 0.2), (0.8, 0.8, 0.8), num_rays=_NUM_RAYS, target_t60_s=0.9)
+    # a source with many microphones is traced once, and plays roulette for each absorption
+    every_ray = trace_every_ray(_SCENE, _SOURCE_M, num_rays=_NUM_RAYS, max_length_s=0.1, rng=np.random.default_rng(0))
+    every_ray.play_roulette(_SCENE.absorption, 0.1)
 
 
 def simulate_mesh() -> None:
@@ -81,7 +84,10 @@ def predict() -> None:
            np.ones((n_shares, 8), np.float32), energy[0], np.zeros((2, n_frames, 8)), by_angle[0])
     add_gain(by_angle, np.ones((1, n_angles, 8)), energy)
     decay_times(np.ones((1, 8)), energy, np.arange(energy.shape[1] + 1.0), np.ones(8), np.empty((1, 3, 8)))
-    add_block(np.ones((1, 1)), np.zeros(1, int), np.ones((1, 1)), 1.0)
+    sparse = Sparse.empty((1, 1), 1)
+    append_nonzero(np.ones((1, 1, 1)), np.zeros(1, int), np.zeros((1, 1), int), np.ones((1, 1), bool), np.ones((1, 1)),
+                   *sparse)
+    add_block(np.ones((1, 1)), np.zeros(1, int), whitened_product(*sparse, np.ones(1), 1), 1.0)
     points = np.ones((1, 3))
     log_likelihood(np.ones(10), points, np.ones(1), points, points, np.zeros((1, 3), int), np.ones((1, 1)))
     cap_gain(1.0, 0.1, 0.5)

@@ -561,10 +561,11 @@ def test_steps_of_a_fit_go_downhill(session):
     for r, members in enumerate(index.members):
         equations = normal_equations(index, r, residual, valid, derivatives, fitted.sigma, fitted.omega)
         direction = np.linalg.solve(equations.own_own + np.eye(len(equations.own_own)), equations.own_residual)
-        values, (places, _) = index.room_derivatives(r, derivatives, residual[members]), index.room_places(r)
+        values = np.concatenate([part[rows] for part, rows in index.room_derivatives(r, derivatives)], axis=2)
+        places = np.concatenate(index.room_places(r), axis=1)
         by_place = np.zeros(places.max() + 1)
         np.add.at(by_place, index.own_place[r], 1e-4 * direction)
-        moved = residual[members] - np.einsum("ifn,in->if", values[:, :, :-1], by_place[places])
+        moved = residual[members] - np.einsum("ifn,in->if", values, by_place[places])
         before, after = (misfit(part, valid[members], fitted.sigma, fitted.omega) for part in (residual[members],
                                                                                               moved))
         assert (after - before) / 1e-4 == pytest.approx(-2.0 * equations.own_residual @ direction, rel=0.02)

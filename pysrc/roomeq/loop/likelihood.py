@@ -1,7 +1,7 @@
 """Likelihood of residuals: features scatter within and between rooms, and outliers count linearly (Huber's loss)."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -71,49 +71,118 @@ def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid:
                      sigma: FloatArray, omega: FloatArray) -> NormalEquations:
     """Return the normal equations of room `r`; large residuals are down-weighted (Huber)."""
     members, columns, own = index.members[r], index.columns[r], index.own_place[r]
-    places, alike = index.room_places(r)
     ok = valid[members]
     error, slope = huber_root(residual[members], ok, sigma, omega)
     last = max(len(columns), own.max() + 1)  # place of the residual
-    values = index.room_derivatives(r, derivatives, error)  # large: scaled in place
-    values[:, :, :-1] *= (slope / sigma)[:, :, None]
-    values[:, :, -1] /= sigma
-    values[~ok] = 0.0
-    product = _whitened_product(values, np.pad(places, ((0, 0), (0, 1)), constant_values=last), alike, ok, sigma, omega)
-    n = len(columns)
-    count = ok.sum(axis=0)
+    places = index.room_places(r)
+    sparse = Sparse.empty(ok.shape, 1 + sum(part.shape[1] for part in places))
+    for (part, rows), place in zip(index.room_derivatives(r, derivatives), places, strict=True):
+        append_nonzero(part, rows, place, ok, slope / sigma, *sparse)
+    append_nonzero((error / sigma).reshape(*ok.shape, 1), np.arange(len(members)), np.full((len(members), 1), last), ok,
+                   np.ones(ok.shape), *sparse)
+    n, count = len(columns), ok.sum(axis=0)
+    # sum over m RIRs of (x - p a)(x - p a)' = sum of x x' less m (1 - (1 - p)^2) a a', a being the mean of x
+    kept = sigma ** 2 / (sigma ** 2 + count * omega ** 2)  # (1 - p)^2
+    product = whitened_product(*sparse, (1.0 - kept) / np.maximum(count, 1), last + 1)
     log_scale = np.sum(np.maximum(count - 1, 0) * np.log(sigma)
                        + np.where(count > 0, 0.5 * np.log(sigma ** 2 + count * omega ** 2), 0.0))
     return NormalEquations(product[np.ix_(own, own)], product[own, :n], product[:n, :n], product[own, last],
                            product[:n, last], product[last, last], log_scale, columns)
 
 
-def _whitened_product(values: FloatArray, places: IntArray, alike: Sequence[IntArray], valid: BoolArray,
-                      sigma: FloatArray, omega: FloatArray) -> FloatArray:
+class Sparse(NamedTuple):
+    """A matrix with a row for each RIR and feature: what is not zero in it, as most features depend on few parameters.
+
+    Attributes
+    ----------
+    values : ndarray, shape (n_rirs, n_features, n)
+    columns : ndarray of int32, shape (n_rirs, n_features, n)
+    counts : ndarray of int, shape (n_rirs, n_features)
+        Number of values in each row.
+    """
+
+    values: FloatArray
+    columns: Array
+    counts: IntArray
+
+    @classmethod
+    def empty(cls, shape: tuple[int, ...], most: int) -> "Sparse":
+        """Return a matrix with rows of this shape, which may hold `most` values each."""
+        return cls(np.empty((*shape, most)), np.empty((*shape, most), np.int32), np.zeros(shape, np.int64))
+
+
+@compiled
+def append_nonzero(part: FloatArray, rows: IntArray, place: IntArray, valid: BoolArray, weight: FloatArray,
+                   values: FloatArray, columns: Array, counts: IntArray) -> None:
+    """Append what is not zero in weighted columns to a sparse matrix, in place.
+
+    Parameters
+    ----------
+    part : ndarray, shape (n, n_features, n_of_part)
+    rows : ndarray of int, shape (n_rirs,)
+        Of `part`, for each RIR.
+    place : ndarray of int, shape (n_rirs, n_of_part)
+        Columns in the matrix.
+    valid : ndarray of bool, shape (n_rirs, n_features)
+    weight : ndarray, shape (n_rirs, n_features)
+    values, columns, counts
+        Of `Sparse`.
+    """
+    for i in range(len(rows)):
+        for feature in range(valid.shape[1]):
+            if not valid[i, feature]:
+                continue
+            n, factor = counts[i, feature], weight[i, feature]
+            for k in range(place.shape[1]):
+                value = part[rows[i], feature, k]
+                if value != 0.0:
+                    values[i, feature, n], columns[i, feature, n] = factor * value, place[i, k]
+                    n += 1
+            counts[i, feature] = n
+
+
+@compiled
+def whitened_product(values: FloatArray, columns: Array, counts: IntArray, shared: FloatArray, size: int) -> FloatArray:
     """Return ``white.T @ white`` of a room, where `_whiten` makes each column of `white` from that of a matrix.
 
     Parameters
     ----------
-    values : ndarray, shape (n_rirs, n_features, n)
-        What is not zero in the rows of the matrix, over `sigma`; 0 where invalid.
-    places : ndarray of int, shape (n_rirs, n)
-        Their columns in the matrix, the same for all features of an RIR.
-    alike : sequence of ndarray of int
-        Groups of RIRs with the same columns.
-    valid : ndarray of bool, shape (n_rirs, n_features)
-    sigma, omega : ndarray, shape (n_features,)
+    values, columns, counts
+        Of a `Sparse` matrix over `sigma`; its rows are empty where they are invalid.
+    shared : ndarray, shape (n_features,)
+        What is taken off the square of the sum over RIRs of a feature.
+    size : int
+        Number of columns.
+
+    Returns
+    -------
+    ndarray, shape (size, size)
     """
-    size, count = places.max() + 1, valid.sum(axis=0)
-    product, total = np.zeros((size, size)), np.zeros((len(sigma), size))
-    for rirs in alike:
-        place, of_group = np.ascontiguousarray(places[rirs[0]]), values if len(alike) == 1 else values[rirs]
-        stacked = of_group.reshape(-1, of_group.shape[2])
-        add_block(product, place, stacked.T @ stacked, 1.0)
-        total[:, place] += of_group.sum(axis=0)
-    # sum over n RIRs of (x - p m)(x - p m)' = sum of x x' less n (1 - (1 - p)^2) m m', m being the mean of x
-    kept = sigma ** 2 / (sigma ** 2 + count * omega ** 2)  # (1 - p)^2
-    total *= np.sqrt((1.0 - kept) / np.maximum(count, 1))[:, None]
-    return product - total.T @ total
+    product, total, filled = np.zeros((size, size)), np.zeros((len(shared), size)), np.empty(size, np.int64)
+    for i in range(len(values)):
+        for feature in range(len(shared)):
+            n = counts[i, feature]
+            row, place = values[i, feature, :n], columns[i, feature, :n]
+            for k in range(n):
+                value, of_column = row[k], product[place[k]]
+                total[feature, place[k]] += value
+                for other in range(k, n):  # each pair once
+                    of_column[place[other]] += value * row[other]
+    for feature in range(len(shared)):
+        n = 0
+        for column in range(size):
+            if total[feature, column] != 0.0:
+                filled[n] = column
+                n += 1
+        for k in range(n):
+            value, of_column = shared[feature] * total[feature, filled[k]], product[filled[k]]
+            for other in range(k, n):
+                of_column[filled[other]] -= value * total[feature, filled[other]]
+    for one in range(size):
+        for other in range(one):
+            product[one, other] += product[other, one]
+            product[other, one] = product[one, other]
+    return product
 
 
 def misfit(residual: FloatArray, valid: BoolArray, sigma: FloatArray, omega: FloatArray) -> float:

@@ -176,7 +176,7 @@ class ParameterIndex:
                 at += size
             self.local.append(LocalPart(slices, at))
         self.own_place = [self._own_places(r) for r in range(len(self.members))]
-        self._places: dict[int, tuple[IntArray, list[IntArray]]] = {}  # of rooms, when they are needed
+        self._places: dict[int, list[IntArray]] = {}  # of rooms, when they are needed
 
     def _columns(self, members: IntArray) -> IntArray:
         columns = [np.arange(N_SURFACE)]
@@ -333,40 +333,35 @@ class ParameterIndex:
         on_threads(lambda job, arguments: job(*arguments), jobs, threads)
         return at.features + correction, Derivatives(by_surface, by_effect)
 
-    def room_derivatives(self, r: int, derivatives: Derivatives, residual: FloatArray) -> FloatArray:
-        """Return derivatives of a room's RIRs by the parameters of `room_places`, and last their residual.
+    def room_derivatives(self, r: int, derivatives: Derivatives) -> list[tuple[FloatArray, IntArray]]:
+        """Return derivatives of a room's RIRs by the parameters of `room_places`, in parts.
 
-        The shapes are (n_rirs_of_room, n_features, n + 1), and (n_rirs_of_room, n_features) of the residual.
+        Each part is an array, shape (n, n_features, n_of_part), and its rows for the RIRs of the room.
         """
         members, (by_surface, by_effect) = self.members[r], derivatives
-        values = [by_surface[members], HAS_GAIN[:, None] * self.gain_design[r][:, None, :]]
+        by_gain = HAS_GAIN[:, None] * self.gain_design[r][:, None, :]
+        parts = [(by_surface, members), (by_gain, np.arange(len(members)))]
         for effect in self.effects:
-            values += [by_effect[effect][members]] * (2 if effect.SCOPE == "rir" else 1)
-        return np.concatenate([*values, residual[:, :, None]], axis=2)
+            parts += [(by_effect[effect], members)] * (2 if effect.SCOPE == "rir" else 1)
+        return parts
 
-    def room_places(self, r: int) -> tuple[IntArray, list[IntArray]]:
-        """Return which parameters the RIRs of a room depend on.
+    def room_places(self, r: int) -> list[IntArray]:
+        """Return which parameters the RIRs of a room depend on, for each part of `room_derivatives`.
 
-        Returns
-        -------
-        places : ndarray of int, shape (n_rirs_of_room, n)
-            Of these parameters, in the list that `own_place` refers to.
-        alike : list of ndarray of int
-            Groups of RIRs, counted within the room, that depend on the same parameters.
+        Each array, shape (n_rirs_of_room, n_of_part), holds the places of these parameters in the list that `own_place`
+        refers to.
         """
         if r not in self._places:
             members, slices, design = self.members[r], self.local[r].slices, self.gain_design[r]
             n_rirs, gains = len(members), self.own_place[r][N_SURFACE:N_SURFACE + design.shape[1]]
-            places = [np.broadcast_to(part, (n_rirs, len(part))) for part in (np.arange(N_SURFACE), gains)]
+            places = [np.tile(part, (n_rirs, 1)) for part in (np.arange(N_SURFACE), gains)]
             for k, effect in enumerate(self.effects):
                 part, _, unit, n = self.shared[k]
                 vector = np.zeros(n_rirs, dtype=int) if effect.SCOPE in OWN_SCOPES else unit[members]
                 places.append(np.searchsorted(self.columns[r], part.start + vector * n)[:, None] + np.arange(n))
                 if effect.SCOPE == "rir":
-                    places.append(self.own_place[r][slices[k]].reshape(n_rirs, n))
-            of_room = np.concatenate(places, axis=1)
-            group = np.ravel(np.unique(of_room, axis=0, return_inverse=True)[1])
-            self._places[r] = of_room, [np.flatnonzero(group == g) for g in range(group.max() + 1)]
+                    places.append(np.ascontiguousarray(self.own_place[r][slices[k]].reshape(n_rirs, n)))
+            self._places[r] = places
         return self._places[r]
 
 
@@ -454,5 +449,5 @@ def _gains(data: Data, members: IntArray) -> tuple[FloatArray, IntArray]:
         several = sorted(set(names[alone]))
         columns += [(alone & (names == name), kind) for name in several if len(several) > 1]
     columns += [(np.arange(len(members)) == n, 3) for n in np.flatnonzero(~comparable)]
-    return (np.array([applies for applies, _ in columns], dtype=float).T,
+    return (np.stack([applies for applies, _ in columns], axis=1).astype(float),
             np.array([kind for _, kind in columns]))
