@@ -41,7 +41,7 @@ from roomeq.acoustics.noise_intersection import (
     remaining_energy,
 )
 from roomeq.acoustics.octaves import LEAD_S, octave_bands, octave_fft_size, octave_width_hz
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import exact_bands_hz
 
 MIN_BT = 16.0
@@ -96,7 +96,7 @@ class Decay:
         return power_db(self.edc[:1 + first_below(self.edc, 10.0 ** (0.1 * level_db))])
 
 
-def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float, *, bandwidth_hz: float | None = None,
+def energy_decay(band: Array, fs_hz: float, direct_sample: float, *, bandwidth_hz: float | None = None,
                  noiseless: bool = False) -> Decay:
     """Integrate the squared response of one band backward, with compensation for noise and truncation.
 
@@ -129,8 +129,9 @@ def energy_decay(band: FloatArray, fs_hz: float, direct_sample: float, *, bandwi
     if intersection.noise_power > 0.0 and intersection.rest_energy == 0.0:
         range_db = 0.0
     n_block = max(1, round(0.005 * fs_hz))
+    first_power = np.square(after[:20 * n_block], dtype=np.float64)
     floor_db = float(power_db(intersection.noise_power)
-                     - power_db(strongest_power(np.square(after[:20 * n_block], dtype=np.float64), n_block))) if intersection.is_flat else None
+                     - power_db(strongest_power(first_power, n_block))) if intersection.is_flat else None
     return Decay(energy / max(total, TINY_POWER), range_db, floor_db, intersection,
                  float(remaining[intersection.sample]))
 

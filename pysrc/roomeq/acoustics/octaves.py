@@ -78,8 +78,8 @@ def octave_bands(rir: FloatArray, fs_hz: float, bands_hz: Sequence[float] | None
                  lead: int = 0) -> Array:
     """Split a response into octave bands with zero-phase filters.
 
-    Single precision is enough: the rounding of each band lies 140 dB below its peak. scipy's FFT transforms four rows of
-    it in the time of one.
+    Single precision is enough: the rounding of each band lies 140 dB below its peak. scipy's FFT transforms four rows
+    of it in the time of one.
 
     Parameters
     ----------

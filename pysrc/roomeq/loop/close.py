@@ -310,7 +310,7 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate], u
         logger.info("rejected %s: %s", winner.effect.NAME, describe_rejection(trial))
         pool = [candidate for candidate in pool if candidate is not winner
                 and (trial.reason == RISES or one_sided_p(winner.gain - candidate.gain) > LEVEL
-                     or (candidate.helps(len(ranking)) and helps_beside(session, winner, candidate, len(ranking))))]
+                     or (candidate.helps(len(ranking)) and helps_beside(fitted, candidate, len(ranking))))]
 
 
 def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]

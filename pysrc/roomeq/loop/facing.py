@@ -67,7 +67,7 @@ def without_facings(data: Data, rirs: IntArray) -> Data:
 
 
 def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
-                     residual: FloatArray, spread: FloatArray, threads: int = 1) -> Data:
+                     residual: FloatArray, spread: FloatArray, *, resample: bool = True, threads: int = 1) -> Data:
     """Return data with an estimate of each unknown facing.
 
     The directivity of a source is unknown as well: it is one of cabinets of several sizes, that of the base model if it
@@ -83,6 +83,8 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         Measured minus predicted features; NaN where invalid.
     spread : ndarray, shape (n_features,)
         Scatter of the features [JND].
+    resample : bool
+        Whether the data will be rendered with these facings (`with_facings`).
     threads : int
         Number of threads; the result does not depend on it.
     """
@@ -120,8 +122,8 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
                                         mean_angle_deg(data, of_source)))
         facings.update(of_source)
     is_directive = SourceDirectivity in {*index.effects, *data.given_kinds}
-    return replace(with_facings(data, facings, resample=is_directive, threads=threads), facings=tuple(estimates),
-                   axis=axis)
+    return replace(with_facings(data, facings, resample=resample and is_directive, threads=threads),
+                   facings=tuple(estimates), axis=axis)
 
 
 def mean_angle_deg(data: Data, facings: Mapping[int, FloatArray]) -> float:

@@ -22,7 +22,7 @@ from roomeq.loop.fit import Fit, fit, with_scatter
 from roomeq.loop.heldout_errors import interval_of_mean, one_sided_p
 from roomeq.loop.packing import OWN_SCOPES, ParameterIndex
 from roomeq.loop.rendered_model import change_by, in_order
-from roomeq.loop.session import Session, refit, with_rendered_changes
+from roomeq.loop.session import Session, with_rendered_changes
 from roomeq.loop.splitters import leave_rooms_out
 
 LEVEL = 0.05
@@ -141,9 +141,8 @@ def _candidate(session: Session, effect: type[Effect], base: Fit, before: FloatA
     return Candidate(effect, fitted.parameters(), gain, size_of_change_jnd(data, change_by(data, effect, fitted)))
 
 
-def helps_beside(session: Session, other: Candidate, candidate: Candidate, n_candidates: int) -> bool:
+def helps_beside(model: Session, candidate: Candidate, n_candidates: int) -> bool:
     """Tell whether a candidate helps a model that has another candidate: whether it explains something else."""
-    model = refit(session, other.fit)
     return _candidate(model, candidate.effect, model.fit, _densities(model.data, model.fit)).helps(n_candidates)
 
 
