@@ -1,20 +1,19 @@
 """Contributions of traced rays to microphones: when each arrives, after which reflections, and how much it is.
 
 What a reflection sends by the rules of `roomeq.sim.paths` depends on its ray alone, and is found once for a source
-(`walk_rays`). For each microphone only distances are needed (`add_contributions`): the distance of a segment's line
-follows from those of its ends by the law of cosines.
+(`walk_rays`). For each microphone only distances are needed (`add_contributions`).
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number
+from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number, Numbers
 from roomeq.core.jit import compiled, inlined
 from roomeq.sim.paths import BEHIND, SEEN, Rules, at_source, follow, segment_counts
 from roomeq.sim.trace import Paths
 
-_ZERO, _HALF, _ONE, _SHORTEST_M = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(1e-6)
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _INVERSE_PI = np.float32(1.0 / np.pi)
 
 
@@ -42,7 +41,7 @@ class Walk(NamedTuple):
         Share of floor and ceiling among the reflections up to this one, and with it: the point of a grid below it.
     high : ndarray of float32, shape (n_stored,)
         And its place from there to the next point, in [0, 1].
-    offset_m : ndarray, shape (n_faces,)
+    offset_m : ndarray of float32, shape (n_faces,)
         Distance of the plane of each face from the origin, along its normal.
     """
 
@@ -51,7 +50,7 @@ class Walk(NamedTuple):
     scattered: Array
     low: Array
     high: Array
-    offset_m: FloatArray
+    offset_m: Array
 
 
 class Receiver(NamedTuple):
@@ -60,8 +59,8 @@ class Receiver(NamedTuple):
     Attributes
     ----------
     position_m : ndarray of float32, shape (3,)
-    in_front_m : ndarray of float32, shape (n_faces,)
-        Distance from the plane of each face, negative behind it.
+    facing_m : ndarray of float32, shape (n_faces,)
+        Its position along the normal of each face.
     visible : ndarray of uint8, shape (n_stored,)
         Which reflections it sees, by `roomeq.sim.paths.reflection_visibility`; empty if it sees all.
     radius_m, per_volume : float32
@@ -74,7 +73,7 @@ class Receiver(NamedTuple):
     """
 
     position_m: Array
-    in_front_m: Array
+    facing_m: Array
     visible: Array
     radius_m: Number
     per_volume: Number
@@ -90,7 +89,8 @@ def walk_rays(paths: Paths, level: BoolArray, n_shares: int) -> Walk:
     their share. All surfaces scatter alike.
     """
     length_m, crossing, scattered, high = (np.zeros(len(paths.codes), np.float32) for _ in range(4))
-    walk = Walk(length_m, crossing, scattered, np.zeros(len(paths.codes), np.uint8), high, np.zeros(len(paths.normals)))
+    walk = Walk(length_m, crossing, scattered, np.zeros(len(paths.codes), np.uint8), high,
+                np.zeros(len(paths.normals), np.float32))
     _walk(Rules(-1, paths.late_m), paths.hits, paths.codes, paths.first, paths.counts,
           paths.source_pos_m.astype(np.float32), paths.normals, paths.curved, level, n_shares,
           np.float32(paths.scattering[0]), walk)
@@ -109,9 +109,8 @@ def _walk(rules: Rules, hits: Array, codes: Array, first: IntArray, n_hits: IntA
         x, y, z = source_m[0], source_m[1], source_m[2]
         for n in range(n_hits[ray]):
             at = first[ray] + n
-            u, v, w = hits[at, 0] - x, hits[at, 1] - y, hits[at, 2] - z
+            length_m[at] = _segment_length((x, y, z), hits[at])
             x, y, z = hits[at, 0], hits[at, 1], hits[at, 2]
-            length_m[at] = max(np.sqrt(u * u + v * v + w * w), _SHORTEST_M)
             if segment_counts(step, rules, n):
                 crossing[at] = weight
             if n + 1 == n_hits[ray]:
@@ -149,48 +148,118 @@ def add_contributions(rays: Rays, walk: Walk, receiver: Receiver, counts: FloatA
         After the last contribution of each ray.
     """
     hits, codes, first, n_hits = rays
-    mic, in_front_m, visible = receiver.position_m, receiver.in_front_m, receiver.visible
-    x, y, z, distance_m, ticks_per_m = mic[0], mic[1], mic[2], receiver.distance_m, receiver.ticks_per_m
-    place_of_tick, n_ticks = receiver.place_of_tick, len(receiver.place_of_tick)
-    square_m2, per_volume = receiver.radius_m * receiver.radius_m, receiver.per_volume
+    mic, visible, distance_m = receiver.position_m, receiver.visible, receiver.distance_m
+    ticks_per_m, place_of_tick, n_ticks = receiver.ticks_per_m, receiver.place_of_tick, len(receiver.place_of_tick)
+    radius2, per_volume = receiver.radius_m * receiver.radius_m, receiver.per_volume
     flat, all_visible, most, found = counts.reshape(-1, counts.shape[2]), len(visible) == 0, n_hits.max(), 0
-    # of the reflections of a ray: what each sends to the microphone, and what its segments leave in the sphere
-    square, sent, left = np.empty(most + 1, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
-    sent_tick, left_tick = np.empty(most, np.int32), np.empty(most, np.int32)
+    square_m2, sent, to_mic_m = np.empty(most + 1, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
+    inside_m, to_middle_m = np.empty(most, np.float32), np.empty(most, np.float32)
     place, amount = np.empty(2 * len(hits), np.int32), np.empty(2 * len(hits), np.float32)
     end = np.empty(len(first), np.int64)
-    square[0] = distance_m * distance_m
+    square_m2[0] = distance_m * distance_m
     for ray in range(len(first)):
         stored = slice(first[ray], first[ray] + n_hits[ray])
-        hit, code, length_m, crossing = hits[stored], codes[stored], walk.length_m[stored], walk.crossing[stored]
-        scattered, low, high = walk.scattered[stored], walk.low[stored], walk.high[stored]
-        for n in range(len(hit)):  # this loop and the next two without branches, so that they are vectorised
-            u, v, w = x - hit[n, 0], y - hit[n, 1], z - hit[n, 2]
-            square[n + 1] = u * u + v * v + w * w
+        hit, crossing, low, high = hits[stored], walk.crossing[stored], walk.low[stored], walk.high[stored]
+        _squared_distances(hit, (mic[0], mic[1], mic[2]), square_m2)
+        _next_events(hit, codes[stored], walk.scattered[stored], receiver.facing_m, walk.offset_m, square_m2, sent,
+                     to_mic_m)
+        _chords(hit, walk.length_m[stored], square_m2, radius2, inside_m, to_middle_m)
         for n in range(len(hit)):
-            away_m = np.sqrt(square[n + 1])
-            sent[n] = scattered[n] * in_front_m[code[n] >> 2] / (square[n + 1] * away_m)
-            sent_tick[n] = np.int32((hit[n, 3] + away_m - distance_m) * ticks_per_m)
-        for n in range(len(hit)):
-            along = _HALF * (length_m[n] + (square[n] - square[n + 1]) / length_m[n])
-            inside = square_m2 - square[n] + along * along
-            half = np.sqrt(inside if inside > _ZERO else _ZERO)
-            enter, leave = along - half, along + half
-            enter, leave = enter if enter > _ZERO else _ZERO, leave if leave < length_m[n] else length_m[n]
-            left[n] = crossing[n] * per_volume * (leave - enter)
-            left_tick[n] = np.int32((hit[n, 3] - length_m[n] + _HALF * (enter + leave) - distance_m) * ticks_per_m)
-        for n in range(len(hit)):
-            if left[n] > _ZERO and left_tick[n] < n_ticks and (all_visible or visible[stored][n] & BEHIND == 0):
-                place[found], amount[found] = place_of_tick[max(left_tick[n], 0)] + n, left[n]
-                _put(flat[place[found]], low[n - 1], high[n - 1], left[n])
+            left, tick = crossing[n] * per_volume * inside_m[n], int((to_middle_m[n] - distance_m) * ticks_per_m)
+            if left > _ZERO and tick < n_ticks and (all_visible or visible[stored][n] & BEHIND == 0):
+                place[found], amount[found] = place_of_tick[max(tick, 0)] + n, left
+                _put(flat[place[found]], low[n - 1], high[n - 1], left)
                 found += 1
         for n in range(len(hit)):
-            if sent[n] > _ZERO and sent_tick[n] < n_ticks and (all_visible or visible[stored][n] & SEEN):
-                place[found], amount[found] = place_of_tick[max(sent_tick[n], 0)] + n + 1, sent[n]
+            tick = int((to_mic_m[n] - distance_m) * ticks_per_m)
+            if sent[n] > _ZERO and tick < n_ticks and (all_visible or visible[stored][n] & SEEN):
+                place[found], amount[found] = place_of_tick[max(tick, 0)] + n + 1, sent[n]
                 _put(flat[place[found]], low[n], high[n], sent[n])
                 found += 1
         end[ray] = found
     return place[:found], amount[:found], end
+
+
+@inlined
+def _squared_distances(hits: Array, mic: Numbers, square_m2: Array) -> None:
+    """Compute the squared distance of each reflection of a ray from a microphone, in a loop that is vectorised.
+
+    Parameters
+    ----------
+    hits : ndarray of float32, shape (n_hits, 4)
+        As `roomeq.sim.trace.Paths.hits`.
+    mic : tuple of 3 float32
+    square_m2 : ndarray of float32, shape (n_hits + 1,)
+        Receives them from its second place on. The first is that of the source.
+    """
+    x, y, z = mic
+    for n in range(len(hits)):
+        u, v, w = x - hits[n, 0], y - hits[n, 1], z - hits[n, 2]
+        square_m2[n + 1] = u * u + v * v + w * w
+
+
+@inlined
+def _next_events(hits: Array, codes: Array, scattered: Array, facing: Array, offset: Array, square_m2: Array,
+                 sent: Array, path_m: Array) -> None:
+    """Compute what each reflection of a ray sends to a microphone by next-event estimation.
+
+    Parameters
+    ----------
+    hits : ndarray of float32, shape (n_hits, 4)
+    codes : ndarray of int, shape (n_hits,)
+        As `roomeq.sim.trace.Paths.codes`.
+    scattered : ndarray of float32, shape (n_hits,)
+        Of a `Walk`.
+    facing, offset : ndarray of float32, shape (n_faces,)
+        Position of the microphone along the normal of each face, and that of the face itself [m].
+    square_m2 : ndarray of float32, shape (n_hits + 1,)
+        From `_squared_distances`.
+    sent : ndarray of float32, shape (n_hits,)
+        Receives what is sent [1/m2]; negative behind the surface.
+    path_m : ndarray of float32, shape (n_hits,)
+        Receives the length of the path to the microphone.
+    """
+    for n in range(len(hits)):
+        distance_m, face = np.sqrt(square_m2[n + 1]), codes[n] >> 2
+        sent[n] = scattered[n] * (facing[face] - offset[face]) / (square_m2[n + 1] * distance_m)
+        path_m[n] = hits[n, 3] + distance_m
+
+
+@inlined
+def _chords(hits: Array, length_m: Array, square_m2: Array, radius2: Number, inside_m: Array, path_m: Array) -> None:
+    """Compute how long each segment of a ray is inside the sphere around a microphone.
+
+    The line's distance from the microphone follows from those of the segment's ends by the law of cosines.
+
+    Parameters
+    ----------
+    hits : ndarray of float32, shape (n_hits, 4)
+    length_m : ndarray of float32, shape (n_hits,)
+        Of the segment that leads to each reflection, above 0.
+    square_m2 : ndarray of float32, shape (n_hits + 1,)
+        From `_squared_distances`.
+    radius2 : float32
+        Squared radius of the sphere [m2].
+    inside_m : ndarray of float32, shape (n_hits,)
+        Receives the length inside, at most 0 where the segment misses the sphere.
+    path_m : ndarray of float32, shape (n_hits,)
+        Receives the length of the path to the middle of that part.
+    """
+    zero, half = np.float32(0.0), np.float32(0.5)
+    for n in range(len(hits)):
+        along = half * (length_m[n] + (square_m2[n] - square_m2[n + 1]) / length_m[n])
+        square = radius2 - square_m2[n] + along * along
+        reach = np.sqrt(square if square > zero else zero)
+        enter, leave = along - reach, along + reach
+        enter, leave = enter if enter > zero else zero, leave if leave < length_m[n] else length_m[n]
+        inside_m[n], path_m[n] = leave - enter, hits[n, 3] - length_m[n] + half * (enter + leave)
+
+
+@inlined
+def _segment_length(start: Numbers, hit: Array) -> Number:
+    """Return the length of a segment between two places, x, y, z each; so that it can be divided by, at least 1 um."""
+    u, v, w = hit[0] - start[0], hit[1] - start[1], hit[2] - start[2]
+    return max(np.sqrt(u * u + v * v + w * w), np.float32(1e-6))
 
 
 @inlined

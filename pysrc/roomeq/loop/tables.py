@@ -126,7 +126,7 @@ def collect(traced: TracedSource, mics_m: ArrayLike) -> list[tuple[Table, Array]
     tables = []
     for m, mic_m in enumerate(mics_m):
         distance_m = float(np.linalg.norm(mic_m - source_pos_m))
-        receiver = Receiver(mic_m.astype(np.float32), (paths.normals @ mic_m - walk.offset_m).astype(np.float32),
+        receiver = Receiver(mic_m.astype(np.float32), (paths.normals @ mic_m).astype(np.float32),
                             visible[m] if len(visible) else np.zeros(0, dtype=np.uint8),
                             np.float32(radii_m[m]), np.float32(1.0 / volumes_m3[m]), np.float32(distance_m),
                             np.float32(1.0 / (speed_m_s * _TICK_S)), (shape[1] * frame_of_tick).astype(np.int32))
