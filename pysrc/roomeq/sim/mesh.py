@@ -19,11 +19,12 @@ from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.core.extras import require_packages
 from roomeq.sim.adjacency import Meetings, Planes, curved_faces, find_meetings, find_planes
 from roomeq.sim.images import SpecularPaths
+from roomeq.sim.in_sight import triangles_in_sight
 from roomeq.sim.meshfile import read_triangles
 from roomeq.sim.mirrors import find_sequences, visible_paths
 from roomeq.sim.scene import MIN_WALL_DISTANCE_M
 from roomeq.sim.trace import sphere_directions
-from roomeq.sim.tree import Tree, first_hits, make_tree, sees
+from roomeq.sim.tree import Tree, find_quadrangles, first_hits, make_tree, sees
 from roomeq.sim.walls import Walls
 
 if TYPE_CHECKING:
@@ -99,6 +100,11 @@ class MeshRoom:
         return make_tree(self.triangles, self.normals, self.face_surface)
 
     @cached_property
+    def _quadrangles(self) -> tuple[IntArray, IntArray]:
+        """The pairs of triangles that are one face to rays."""
+        return find_quadrangles(self.triangles, self.normals, self.offsets, self.face_surface)[:2]
+
+    @cached_property
     def meetings(self) -> Meetings:
         """The pairs of faces that meet in an edge."""
         return find_meetings(self.triangles)
@@ -152,6 +158,16 @@ class MeshRoom:
         shape = np.broadcast_shapes(from_m.shape, to_m.shape)
         from_m, to_m = (np.ascontiguousarray(np.broadcast_to(point_m, shape)) for point_m in (from_m, to_m))
         return sees(self.tree, from_m, to_m)
+
+    def faces_in_sight(self, points_m: FloatArray) -> BoolArray:
+        """Tell which faces some points surely see as a whole, shape (n_points, n_faces).
+
+        Both triangles of a quadrangle must be seen: rays find one face of them (`tree`).
+        """
+        seen = triangles_in_sight(self.triangles, self.normals, points_m)
+        first, second = self._quadrangles
+        seen[:, first] = seen[:, second] = seen[:, first] & seen[:, second]
+        return seen
 
     def surroundings(self, point_m: ArrayLike) -> FloatArray | None:
         """Return the distance [m] to the surfaces in `_SPHERE_RAYS` evenly spread directions; None outside the air."""

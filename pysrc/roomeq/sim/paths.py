@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
-from roomeq.core.arrays import Array, FloatArray, Number, Numbers
+from roomeq.core.arrays import Array, BoolArray, FloatArray, Number, Numbers
 from roomeq.core.jit import compiled, for_chunks, inlined
 from roomeq.sim.room import Room
 from roomeq.sim.trace import Paths
@@ -110,12 +110,12 @@ def reflection_visibility(paths: Paths, room: Room, mics_m: Array, *, max_path_m
     if room.convex:
         return np.zeros((0, 0), dtype=np.uint8)
     mics_m = np.atleast_2d(mics_m)
-    path_m = paths.hits[:, 3]
-    tested = np.flatnonzero((path_m < max_path_m) & ((path_m <= paths.late_m) | (paths.codes & 1 == 1)))
-    visible = np.zeros((len(mics_m), len(path_m)), dtype=np.uint8)
+    visible = np.zeros((len(mics_m), len(paths.codes)), dtype=np.uint8)
     mesh = cast("MeshRoom", room)
-    how = mesh.tree, paths.hits, paths.codes, paths.normals, mics_m.astype(np.float64)
-    for_chunks(len(tested), lambda chunk, low, high: _see(*how, tested[low:high], visible))
+    in_sight = mesh.faces_in_sight(mics_m)
+    how = (mesh.tree, paths.hits, paths.codes, paths.normals, mics_m.astype(np.float64), in_sight, max_path_m,
+           paths.late_m)
+    for_chunks(len(paths.codes), lambda chunk, low, high: _see(*how, low, high, visible))
     for m, (mic_m, radius_m) in enumerate(zip(mics_m, receiver_spheres(room, mics_m).radius_m, strict=True)):
         if mesh.cuts_sphere(mic_m, radius_m):
             cut = mesh.tree, paths.hits, paths.first, paths.counts, mic_m.astype(np.float64), radius_m
@@ -124,19 +124,25 @@ def reflection_visibility(paths: Paths, room: Room, mics_m: Array, *, max_path_m
 
 
 @compiled
-def _see(tree: Tree, hits: Array, codes: Array, normals: Array, mics_m: Array, tested: Array, visible: Array) -> None:
-    """Tell for some reflections which microphones they see; none lies behind the surface."""
+def _see(tree: Tree, hits: Array, codes: Array, normals: Array, mics_m: Array, in_sight: BoolArray, max_path_m: Number,
+         late_m: Number, low: Number, high: Number, visible: Array) -> None:
+    """Tell which microphones reflections `low` to `high` see; none lies behind the surface.
+
+    No shadow ray is needed from faces that a microphone has `in_sight` as a whole, shape (n_mics, n_faces).
+    """
     search = memory(tree)
-    for at in tested:
-        normal = normals[codes[at] >> 2]
-        nx, ny, nz = normal[0], normal[1], normal[2]
+    for at in range(low, high):
+        if hits[at, 3] >= max_path_m or (hits[at, 3] > late_m and codes[at] & 1 == 0):
+            continue
+        face = codes[at] >> 2
+        nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
         x = hits[at, 0] + SHADOW_RAY_OFFSET_M * nx
         y = hits[at, 1] + SHADOW_RAY_OFFSET_M * ny
         z = hits[at, 2] + SHADOW_RAY_OFFSET_M * nz
         for m in range(len(mics_m)):
             u, v, w = mics_m[m, 0] - x, mics_m[m, 1] - y, mics_m[m, 2] - z
             if u * nx + v * ny + w * nz > -SHADOW_RAY_OFFSET_M:
-                if not crosses(tree, search, (x, y, z), (u, v, w)):
+                if in_sight[m, face] or not crosses(tree, search, (x, y, z), (u, v, w)):
                     visible[m, at] = SEEN
 
 

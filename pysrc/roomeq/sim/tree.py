@@ -71,7 +71,7 @@ def make_tree(triangles: FloatArray, normals: FloatArray, face_surface: IntArray
     inward = np.cross(ahead, normals[:, None])
     inward /= np.linalg.norm(inward, axis=2)[:, :, None]
     edges = np.concatenate([inward, np.einsum("nij,nij->ni", inward, triangles)[:, :, None] - EDGE_M], axis=2)
-    first, second, edge_of_first, edge_of_second = _quadrangles(triangles, normals, offsets, face_surface)
+    first, second, edge_of_first, edge_of_second = find_quadrangles(triangles, normals, offsets, face_surface)
     four = edges[:, [0, 1, 2, 2]]
     for n in (1, 2):
         four[first, n - 1] = edges[first, (edge_of_first + n) % 3]
@@ -91,8 +91,8 @@ def make_tree(triangles: FloatArray, normals: FloatArray, face_surface: IntArray
                 (WIDTH - 1) * depth + 1)
 
 
-def _quadrangles(triangles: FloatArray, normals: FloatArray, offsets: FloatArray,
-                 face_surface: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray]:
+def find_quadrangles(triangles: FloatArray, normals: FloatArray, offsets: FloatArray,
+                     face_surface: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray]:
     """Return pairs of triangles that are a convex quadrangle of one surface, and the edge of each that they share."""
     _, corner = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     corner = np.ravel(corner).reshape(-1, 3)

@@ -13,9 +13,10 @@ from plans import L_PLAN, box_plan, prism_obj
 from roomeq.core.constants import FS_HZ
 from roomeq.sim.echogram import FRAME_S, compute_echograms
 from roomeq.sim.images import specular_paths
-from roomeq.sim.mesh import load_mesh, make_room
+from roomeq.sim.mesh import MeshRoom, load_mesh, make_room
 from roomeq.sim.meshfile import triangulate
 from roomeq.sim.path_sample import sample_paths
+from roomeq.sim.paths import reflection_visibility
 from roomeq.sim.response import simulate_responses, trace_source
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
 from roomeq.sim.trace import trace
@@ -33,6 +34,14 @@ def write_obj(tmp_path):
         path.write_text(text)
         return path
     return write
+
+
+def with_body(shell, plan):
+    """Return the OBJ of a shell, and of a body of one metre in it."""
+    n_corners = len(re.findall(r"(?m)^v ", shell))
+    words = [line.split() for line in prism_obj(plan, 1.0, "wood").splitlines()]
+    body = [[word[0], *(str(int(n) + n_corners) for n in word[1:])] if word[0] == "f" else word for word in words]
+    return shell + "\n".join(map(" ".join, body)) + "\n"
 
 
 @pytest.fixture
@@ -98,11 +107,7 @@ def test_mirrored_node_of_a_gltf_file_is_the_mirrored_room(write_obj, tmp_path):
 @pytest.mark.parametrize("corner_x_m, said", [(5.2, True), (5.0, False)])
 def test_bodies_that_reach_out_of_the_room_are_said(write_obj, caplog, corner_x_m, said):
     """A body of one metre in a room of 6 m, flush with its wall or 0.2 m through it."""
-    shell, body = prism_obj(box_plan(6.0, 4.0), 3.0), prism_obj(box_plan(1.0, 1.0, corner_x_m, 1.0), 1.0, "wood")
-    words = [line.split() for line in body.splitlines()]
-    body = "\n".join(" ".join([word[0], *(str(int(n) + 8) for n in word[1:])] if word[0] == "f" else word)
-                     for word in words)
-    load_mesh(write_obj(shell + body + "\n"))
+    load_mesh(write_obj(with_body(prism_obj(box_plan(6.0, 4.0), 3.0), box_plan(1.0, 1.0, corner_x_m, 1.0))))
     assert ("bodies that reach out of the room: 1, the one" in caplog.text) == said
     assert ("by 0.2 m" in caplog.text) == said
 
@@ -302,6 +307,20 @@ def test_surface_hides_what_is_behind_it_from_a_microphone_close_to_it(write_obj
                              n_frames=500)
     echogram = sample.echogram(scene.absorption, bands=[4])[:, 4]
     assert 10.0 * np.log10(echogram.sum() / energy[0]) == pytest.approx(0.0, abs=0.3)
+
+
+def test_no_shadow_ray_is_needed_from_faces_that_are_in_sight(write_obj, monkeypatch):
+    """What microphones see is the same without the search, and it finds most faces of a concave room with a box."""
+    room = load_mesh(write_obj(with_body(prism_obj(L_PLAN, 3.0), box_plan(0.5, 0.5, 1.0, 1.0))))
+    assert not room.convex
+    mics_m = np.random.default_rng(0).uniform((0.2, 0.2, 1.2), (5.8, 1.8, 2.8), (10, 3))
+    rays = trace(room, (0.6, 0.6, 0.6), [0.3] * len(room.surfaces), num_rays=2000, max_length_m=60.0, speed_m_s=C,
+                 rng=np.random.default_rng(0))
+    seen = reflection_visibility(rays, room, mics_m, max_path_m=60.0)
+    in_sight = room.faces_in_sight(mics_m)
+    assert 0.3 < in_sight.mean() < 0.9
+    monkeypatch.setattr(MeshRoom, "faces_in_sight", lambda *_: np.zeros_like(in_sight))
+    np.testing.assert_array_equal(reflection_visibility(rays, room, mics_m, max_path_m=60.0), seen)
 
 
 def test_energy_is_conserved_in_room_with_table(write_obj):
