@@ -129,9 +129,10 @@ def energy_decay(band: Array, fs_hz: float, direct_sample: float, *, bandwidth_h
     if intersection.noise_power > 0.0 and intersection.rest_energy == 0.0:
         range_db = 0.0
     n_block = max(1, round(0.005 * fs_hz))
-    first_power = np.square(after[:20 * n_block], dtype=np.float64)
-    floor_db = float(power_db(intersection.noise_power)
-                     - power_db(strongest_power(first_power, n_block))) if intersection.is_flat else None
+    floor_db = None
+    if intersection.is_flat:
+        first_power = np.square(after[:20 * n_block], dtype=np.float64)
+        floor_db = float(power_db(intersection.noise_power) - power_db(strongest_power(first_power, n_block)))
     return Decay(energy / max(total, TINY_POWER), range_db, floor_db, intersection,
                  float(remaining[intersection.sample]))
 

@@ -160,19 +160,20 @@ def add_contributions(rays: Rays, walk: Walk, receiver: Receiver, counts: FloatA
     for ray in range(len(first)):
         stored = slice(first[ray], first[ray] + n_hits[ray])
         hit, crossing, low, high = hits[stored], walk.crossing[stored], walk.low[stored], walk.high[stored]
+        sight = visible[stored]
         _squared_distances(hit, (mic[0], mic[1], mic[2]), square_m2)
         _next_events(hit, codes[stored], walk.scattered[stored], receiver.facing_m, walk.offset_m, square_m2, sent,
                      to_mic_m)
         _chords(hit, walk.length_m[stored], square_m2, radius2, inside_m, to_middle_m)
         for n in range(len(hit)):
             left, tick = crossing[n] * per_volume * inside_m[n], int((to_middle_m[n] - distance_m) * ticks_per_m)
-            if left > _ZERO and tick < n_ticks and (all_visible or visible[stored][n] & BEHIND == 0):
+            if left > _ZERO and tick < n_ticks and (all_visible or sight[n] & BEHIND == 0):
                 place[found], amount[found] = place_of_tick[max(tick, 0)] + n, left
                 _put(flat[place[found]], low[n - 1], high[n - 1], left)
                 found += 1
         for n in range(len(hit)):
             tick = int((to_mic_m[n] - distance_m) * ticks_per_m)
-            if sent[n] > _ZERO and tick < n_ticks and (all_visible or visible[stored][n] & SEEN):
+            if sent[n] > _ZERO and tick < n_ticks and (all_visible or sight[n] & SEEN):
                 place[found], amount[found] = place_of_tick[max(tick, 0)] + n + 1, sent[n]
                 _put(flat[place[found]], low[n], high[n], sent[n])
                 found += 1
@@ -293,4 +294,3 @@ def by_direction(place: Array, amount: Array, end: IntArray, cell: IntArray, n_c
             departed[entry_at[place[n]], cell[ray]] += amount[n]
         first = end[ray]
     return departed
-

@@ -74,10 +74,10 @@ def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid:
     ok = valid[members]
     error, slope = huber_root(residual[members], ok, sigma, omega)
     last = max(len(columns), own.max() + 1)  # place of the residual
-    places = index.room_places(r)
+    places, weight = index.room_places(r), slope / sigma
     sparse = Sparse.empty(ok.shape, 1 + sum(part.shape[1] for part in places))
     for (part, rows), place in zip(index.room_derivatives(r, derivatives), places, strict=True):
-        append_nonzero(part, rows, place, ok, slope / sigma, *sparse)
+        append_nonzero(part, rows, place, ok, weight, *sparse)
     append_nonzero((error / sigma).reshape(*ok.shape, 1), np.arange(len(members)), np.full((len(members), 1), last), ok,
                    np.ones(ok.shape), *sparse)
     n, count = len(columns), ok.sum(axis=0)
