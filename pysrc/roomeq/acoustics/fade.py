@@ -7,8 +7,6 @@ ringing and the rounding of a resampler, or a codec's noise. What a response fal
 no noise either: it follows the sign of the response, and so decays in one band while another holds it up.
 """
 
-from functools import reduce
-
 import numpy as np
 
 from roomeq.acoustics.decay_kernels import strongest_power
@@ -68,9 +66,9 @@ def length_before_silence(rir: FloatArray, fs_hz: float) -> int:
         n_block = round(block_s * fs_hz)
         n_blocks = min(n_samples, len(power)) // n_block
         if n_blocks > _N_BEFORE + _N_AFTER:
-            cut_db = _fall_at_once_db(power_db(power[:n_blocks * n_block].reshape(n_blocks, n_block).mean(axis=1)))
-            if cut_db.max() > _CUT_DB:
-                n_samples = (int(np.argmax(cut_db)) + _N_BEFORE) * n_block
+            block, fall_db = _largest_fall(power_db(power[:n_blocks * n_block].reshape(n_blocks, n_block).mean(axis=1)))
+            if fall_db > _CUT_DB:
+                n_samples = block * n_block
     return length_before_last_bit(rir[:n_samples], fs_hz)  # which tells the end of a cut less closely
 
 
@@ -87,31 +85,53 @@ def length_before_last_bit(rir: FloatArray, fs_hz: float) -> int:
     fs_hz
         Sample rate.
     """
-    differences = np.abs(np.diff(rir))
-    step = np.min(differences, where=differences > 0.0, initial=np.inf)
-    if len(rir) < 2 or not _FEWEST_STEPS * step <= np.ptp(rir) <= _MOST_STEPS * step:
+    step = _quantisation_step(rir)
+    if step == 0.0:
         return len(rir)
     values = (rir - rir[0]) / step
-    if np.abs(values - np.rint(values)).max() > 0.01:
-        return len(rir)
     blocks = np.array_split(values, max(1, len(rir) // round(_BIT_BLOCK_S * fs_hz)))
     ends = np.cumsum([len(block) for block in blocks])
     above = ends[[block.std() > _OVER_LAST_BIT * _LAST_BIT for block in blocks]]
     return int(above[-1]) if len(above) else len(rir)
 
 
-def _fall_at_once_db(level_db: FloatArray) -> FloatArray:
-    """Return by how much more the level falls at a block than as it falls before, and afterwards to the end.
+@compiled
+def _quantisation_step(rir: FloatArray) -> float:
+    """Return the step of which all differences between samples are multiples; 0 where there is none."""
+    step, lowest, highest = np.inf, np.inf, -np.inf
+    for n in range(len(rir)):
+        lowest, highest = min(lowest, rir[n]), max(highest, rir[n])
+        difference = abs(rir[n] - rir[max(n - 1, 0)])
+        if 0.0 < difference < step:
+            step = difference
+    if not _FEWEST_STEPS * step <= highest - lowest <= _MOST_STEPS * step:
+        return 0.0
+    for n in range(len(rir)):
+        multiple = (rir[n] - rir[0]) / step
+        if abs(multiple - np.rint(multiple)) > 0.01:
+            return 0.0
+    return step
+
+
+@compiled
+def _largest_fall(level_db: FloatArray) -> tuple[int, float]:
+    """Return the block at which the level falls by most, beyond what it falls before and afterwards, and that fall.
 
     It falls from the least of `_N_BEFORE` blocks to the largest of all behind the block, of which there are `_N_AFTER`
     at least.
     """
-    n = len(level_db) - _N_BEFORE - _N_AFTER
-    before = [level_db[first:first + n] for first in range(_N_BEFORE)]  # of each block
-    after_db = np.maximum.accumulate(level_db[::-1])[::-1][_N_BEFORE + 1:n + _N_BEFORE + 1]
-    falls_before_db = np.maximum(before[0] - before[-1], 0.0) * 2.0 / (_N_BEFORE - 1)  # within two blocks
-    falls_after_db = after_db - np.sort(level_db[-_N_AFTER:])[_N_AFTER // 2 - 1:_N_AFTER // 2 + 1].mean()  # the median
-    return np.asarray(reduce(np.minimum, before) - after_db - falls_before_db - falls_after_db)
+    last = np.sort(level_db[-_N_AFTER:])
+    end_db = 0.5 * (last[_N_AFTER // 2 - 1] + last[_N_AFTER // 2])  # the median
+    after_db = np.max(level_db[-_N_AFTER:])
+    block, largest_db = 0, -np.inf
+    for n in range(len(level_db) - _N_AFTER - 1, _N_BEFORE - 1, -1):
+        before = level_db[n - _N_BEFORE:n]
+        falls_before_db = max(before[0] - before[-1], 0.0) * 2.0 / (_N_BEFORE - 1)  # within two blocks
+        fall_db = before.min() - after_db - falls_before_db - (after_db - end_db)
+        if fall_db >= largest_db:
+            block, largest_db = n, fall_db
+        after_db = max(after_db, level_db[n])
+    return block, largest_db
 
 
 def length_before_fade(rir: FloatArray, fs_hz: float, direct_sample: float) -> int:

@@ -78,21 +78,27 @@ class SourceDirectivity(Effect):
                    tuple(float(x) for x in np.clip(vector[2:], -_MAX_DEVIATION_DB, _MAX_DEVIATION_DB)))
 
     def on_paths(self, cos_angle: FloatArray) -> FloatArray:
-        cos_angle, table = np.clip(cos_angle, -1.0, 1.0), cap_table(self.radius_m, self.cap_rad)
-        if cos_angle.size > len(table):  # as for the rays of a source
-            return look_up(cos_angle, table * self._deviation(np.cos(table_angles(len(table)))))
-        return look_up(cos_angle, table) * self._deviation(cos_angle)
-
-    def _deviation(self, cos_angle: FloatArray) -> FloatArray:
-        """Return the energy gain by which the source deviates from the cap, shape (..., 8)."""
-        x = np.asarray(cos_angle)[..., None]
-        shapes = np.concatenate([x - 1.0, 1.5 * (x ** 2 - 1.0), 2.5 * x ** 3 - 1.5 * x - 1.0], axis=-1)
-        return 10.0 ** (shapes @ np.reshape(self.deviation_db, _DEVIATION_DB.shape) / 10.0)
+        return look_up(cos_angle, _gain_table(self))
 
     def apply_to_prediction(self, state: PredictionState, data: PredictedRirs, rows: IntArray) -> None:
         rows = rows[[data.tables[n].angular is not None for n in rows]]
         direct = self.on_paths(np.cos(state.direct_angle[rows]))
         state.apply_directivity(rows, _ray_gains(self, tuple(data.angles)), direct)
+
+
+@lru_cache(maxsize=256)
+def _gain_table(directivity: SourceDirectivity) -> FloatArray:
+    """Return the energy gain at the angles of a table (`cap_table`), shape (n_angles, 8)."""
+    of_cap = cap_table(directivity.radius_m, directivity.cap_rad)
+    shapes_db = np.reshape(directivity.deviation_db, _DEVIATION_DB.shape)
+    return of_cap * 10.0 ** (_shapes(len(of_cap)) @ shapes_db / 10.0)
+
+
+@lru_cache(maxsize=4)
+def _shapes(n_angles: int) -> FloatArray:
+    """Return the Legendre polynomials of `_ORDERS` less their value on the axis, at the angles of a table, (n, 3)."""
+    x = np.cos(table_angles(n_angles))
+    return np.stack([x - 1.0, 1.5 * (x ** 2 - 1.0), 2.5 * x ** 3 - 1.5 * x - 1.0], axis=1)
 
 
 @lru_cache(maxsize=256)

@@ -16,6 +16,7 @@ with the mirror image R u.
 """
 
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple, cast
 
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from roomeq.sim.mesh import MeshRoom
 
 _REACH = 0.3  # of the largest wavelength: the mean of sin(kd) / (kd) over an octave is negative from here on
-_DIRECTIONS = 200
 _ACROSS = 0.7  # largest cosine between the normals of surfaces that form an edge or a corner
 
 
@@ -107,7 +107,7 @@ def _likeness(directivity: "Directivity", mirrors: list[FloatArray]) -> FloatArr
 
     Each image is of some mirrors, which have normals of shape (n, 3).
     """
-    directions = [sphere_directions(_DIRECTIONS, np.random.default_rng(0))]
+    directions = [_directions()]
     for normals in mirrors:
         mirrored = directions[0]
         for normal in normals:
@@ -116,6 +116,11 @@ def _likeness(directivity: "Directivity", mirrors: list[FloatArray]) -> FloatArr
     ahead, *behind = np.split(directivity(np.concatenate(directions)), len(directions))
     power = np.sqrt(np.sum(ahead ** 2, axis=0) * np.sum(np.square(behind), axis=1))
     return np.sum(ahead * behind, axis=1) / np.maximum(power, np.finfo(float).tiny)
+
+
+@cache
+def _directions() -> FloatArray:
+    return sphere_directions(200, np.random.default_rng(0))
 
 
 def _beside(room: Room, point_m: FloatArray, reach_m: float) -> _Surfaces:

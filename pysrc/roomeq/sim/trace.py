@@ -147,7 +147,7 @@ def sphere_directions(n_rays: int, rng: np.random.Generator) -> FloatArray:
     return rng.permutation(_lattice(n_rays) @ rotation)
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=4)
 def _lattice(n_points: int) -> FloatArray:
     index = np.arange(n_points) + 0.5
     z = 1.0 - 2.0 * index / n_points
