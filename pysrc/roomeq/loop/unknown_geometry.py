@@ -20,6 +20,7 @@ import numpy as np
 
 from roomeq.acoustics.air import speed_of_sound_m_s
 from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.core.jit import compiled
 from roomeq.core.rng import rng_for
 from roomeq.loop.annealing import Block, anneal
 from roomeq.loop.arrivals import Arrivals, early_images, heard_probability, log_likelihood
@@ -87,11 +88,13 @@ class UnknownGeometry:
     """
 
     def __init__(self, rows: Sequence[RirRow], arrivals: Sequence[Arrivals]) -> None:
-        self.rows, self._arrivals = list(rows), list(arrivals)
-        self._timed = [is_timed(row) for row in rows]
+        self.rows, timed = list(rows), [is_timed(row) for row in rows]
+        self._ratio = np.array([of_rir.ratio for of_rir in arrivals])
+        self._direct_s = np.array([of_rir.direct_s if is_known else np.nan
+                                   for of_rir, is_known in zip(arrivals, timed, strict=True)])
         self._speed_m_s = [declared_speed_m_s(row) for row in rows]
         dims_m = [float(size_m) for size_m in cast(list[float], rows[0]["room_dims_m"])]
-        self.unknowns = _shared_unknowns(dims_m, float(np.mean(self._speed_m_s)), any(self._timed))
+        self.unknowns = _shared_unknowns(dims_m, float(np.mean(self._speed_m_s)), any(timed))
         positions: dict[str, list] = {key: [row.get(key) for row in rows] for key in DEVICES}
         self._positions_m = {key: np.array(of_rirs, dtype=float) for key, of_rirs in positions.items()}
         self._height_of = {key: np.zeros(len(rows), dtype=int) for key in DEVICES}
@@ -183,25 +186,50 @@ class UnknownGeometry:
         return np.where(possible, -0.5 * np.sum(deviation ** 2, axis=1), -np.inf)
 
     def _log_likelihood(self, values: FloatArray, rirs: IntArray) -> FloatArray:
-        cells = early_images()[0]
-        dims_m, probability = np.ascontiguousarray(values[:, DIMS]), heard_probability(values[:, _HEARD])
         result = np.empty((len(values), len(rirs)))
-        for column, n in enumerate(rirs):
-            source_m, mic_m = (self._position(key, n, values) for key in DEVICES)
-            speed_m_s = values[:, SPEED] * self._speed_m_s[n] / self.unknowns[SPEED].mean
-            result[:, column] = INDEPENDENT * log_likelihood(self._arrivals[n].ratio, dims_m, speed_m_s, source_m,
-                                                             mic_m, cells, probability)
-            if self._timed[n]:
-                distance_m = np.linalg.norm(source_m - mic_m, axis=1)
-                late_ms = 1e3 * (self._arrivals[n].direct_s - distance_m / speed_m_s) - values[:, LATENCY]
-                result[:, column] += np.log(np.exp(-0.5 * (late_ms / DIRECT_SD_MS) ** 2) + DIRECT_OUTLIERS)
+        add_arrivals(values, rirs, self._ratio, *self._positions_m.values(), *self._height_of.values(),
+                      np.array(self._speed_m_s) / self.unknowns[SPEED].mean, early_images()[0],
+                      heard_probability(values[:, _HEARD]), self._direct_s, result)
         return result
 
-    def _position(self, key: str, n: int, values: FloatArray) -> FloatArray:
-        """Return the position of an RIR's source or microphone for each sample, shape (n_samples, 3)."""
-        position_m = np.repeat(self._positions_m[key][n:n + 1], len(values), axis=0)
-        position_m[:, 2] = values[:, self._height_of[key][n]]
-        return position_m
+
+@compiled
+def add_arrivals(values: FloatArray, rirs: IntArray, ratio: FloatArray, sources_m: FloatArray, mics_m: FloatArray,
+                  source_height: IntArray, mic_height: IntArray, of_speed: FloatArray, cells: IntArray,
+                  probability: FloatArray, direct_s: FloatArray, result: FloatArray) -> None:
+    """Compute the log-likelihood of the arrivals of some RIRs for each of some geometries, (n_points, n_rirs).
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_points, n_unknowns)
+    rirs : ndarray of int
+    ratio : ndarray, shape (n, n_times)
+        Of all RIRs, as all that follows; see `Arrivals`.
+    sources_m, mics_m : ndarray, shape (n, 3)
+        Of which the heights are unknowns with the numbers `source_height` and `mic_height`, shape (n,).
+    of_speed : ndarray, shape (n,)
+        Speed of sound of each RIR over the unknown one.
+    cells, probability
+        As for `roomeq.loop.arrivals.log_likelihood`.
+    direct_s : ndarray, shape (n,)
+        Time of the direct sound; NaN where sample 0 is not the emission.
+    result : ndarray, shape (n_points, n_rirs)
+    """
+    dims_m, source_m, mic_m = values[:, :3].copy(), np.empty((len(values), 3)), np.empty((len(values), 3))
+    for column in range(len(rirs)):
+        n = rirs[column]
+        for point in range(len(values)):
+            source_m[point, 0], source_m[point, 1] = sources_m[n, 0], sources_m[n, 1]
+            mic_m[point, 0], mic_m[point, 1] = mics_m[n, 0], mics_m[n, 1]
+            source_m[point, 2], mic_m[point, 2] = values[point, source_height[n]], values[point, mic_height[n]]
+        speed_m_s = values[:, SPEED] * of_speed[n]
+        result[:, column] = INDEPENDENT * log_likelihood(ratio[n], dims_m, speed_m_s, source_m, mic_m, cells,
+                                                         probability)
+        if not np.isnan(direct_s[n]):
+            for point in range(len(values)):
+                distance_m = np.sqrt(np.sum((source_m[point] - mic_m[point]) ** 2))
+                late_ms = 1e3 * (direct_s[n] - distance_m / speed_m_s[point]) - values[point, LATENCY]
+                result[point, column] += np.log(np.exp(-0.5 * (late_ms / DIRECT_SD_MS) ** 2) + DIRECT_OUTLIERS)
 
 
 def _shared_unknowns(dims_m: Sequence[float], speed_m_s: float, timed: bool) -> list[Unknown]:
