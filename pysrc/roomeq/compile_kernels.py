@@ -19,7 +19,7 @@ from roomeq.effects.wavefield import high_passed
 from roomeq.loop.arrivals import log_likelihood
 from roomeq.loop.features import measure_features
 from roomeq.loop.likelihood import Sparse, add_block, append_nonzero, whitened_product
-from roomeq.loop.predict import decay_times
+from roomeq.loop.predict import decay_times, levels_until
 from roomeq.loop.ray_energy import add_gain, add_up
 from roomeq.loop.tables import ANGLES, collect, turned
 from roomeq.loop.unknown_geometry import N_SHARED, add_arrivals
@@ -84,7 +84,9 @@ def predict() -> None:
     add_up(table.entries, table.counts, cast(Array, table.angular), np.ones((n_angles, 8), np.float32),
            np.ones((n_shares, 8), np.float32), energy[0], np.zeros((2, n_frames, 8)), by_angle[0])
     add_gain(by_angle, np.ones((1, n_angles, 8)), energy)
-    decay_times(np.ones((1, 8)), energy, np.arange(energy.shape[1] + 1.0), np.ones(8), np.empty((1, 3, 8)))
+    decay_times(np.ones((1, 8)), energy, np.arange(energy.shape[1] + 1.0), np.ones(8), np.ones(8, bool),
+                np.empty((1, 3, 8)))
+    levels_until(np.ones((3, 1)), energy)
     sparse = Sparse.empty((1, 1), 1)
     append_nonzero(np.ones((1, 1, 1)), np.zeros(1, int), np.zeros((1, 1), int), np.ones((1, 1), bool), np.ones((1, 1)),
                    *sparse)

@@ -10,6 +10,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from roomeq.acoustics.minimum_phase import minimum_phase
 from roomeq.acoustics.octaves import SPECTRUM_HZ
 from roomeq.core.arrays import FloatArray, IntArray
+from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.effects.base import Effect, Rendering, correlation_of_bands
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 
@@ -36,6 +37,7 @@ class Response(Effect):
     REFLECTIONS = False
     STARTS = ((0.0,) * len(RESPONSE_HZ),)
     SPREAD = (_SPREAD_DB,) * len(RESPONSE_HZ)
+    BANDS = tuple(np.abs(np.log(np.divide.outer(RESPONSE_HZ, EXACT_BANDS_HZ))).argmin(axis=1).tolist())
 
     @classmethod
     def prior_covariance(cls) -> FloatArray:

@@ -297,14 +297,14 @@ class ParameterIndex:
             Of `predict_at` with the same arguments.
         """
         at = at or self.predict_at(mean, local, known, threads)
-        centre, reflected, rays = at.predicted, at.reflected, at.reflected.rays
+        centre, reflected = at.predicted, at.reflected
         jobs: list[tuple[Callable[..., None], tuple[Any, ...]]] = []
 
         def by_absorption(slopes: FloatArray, bands: list[int], first: int, step: tuple[float, float]) -> None:
             # no effect changes the absorption, and none depends on it
             moved = replace(at.state, absorption=at.state.absorption.copy())
             moved.absorption[:, :, bands] *= np.exp(_SURFACE_STEP * np.array(step))[:, None]
-            moved_to = predict_by_band(self.data, moved, ReflectedEnergy(self.data, moved, rays))
+            moved_to = predict_by_band(self.data, moved, reflected.moved_to(moved, bands))
             slopes[:, :, [first + band for band in bands]] = _slopes(centre, moved_to, bands, _SURFACE_STEP)
 
         def by_vector(slopes: FloatArray, k: int, group: list[int]) -> None:
@@ -313,9 +313,9 @@ class ParameterIndex:
             moved[:, group] += steps
             for later, of_effect in enumerate([moved, *at.vectors[k + 1:]], k):
                 self._apply(later, of_effect, moved_state)
-            moved_to = predict_by_band(self.data, moved_state, ReflectedEnergy(self.data, moved_state, rays)
-                                       if effect.REFLECTIONS else reflected.copy())
             bands = [band for p in group if (band := effect.BANDS[p] if effect.BANDS else None) is not None]
+            moved_to = predict_by_band(self.data, moved_state, reflected.moved_to(moved_state, bands)
+                                       if effect.REFLECTIONS else reflected.copy(bands))
             slopes[:, :, group] = _slopes(centre, moved_to, bands, steps) if bands else (
                 moved_to.features - centre.features)[:, :, None] / steps
 

@@ -5,6 +5,7 @@ states are used, added to features that were measured on rendered RIRs. What win
 then part of both.
 """
 
+from collections.abc import Sequence
 from copy import copy
 from functools import partial
 from typing import NamedTuple
@@ -13,7 +14,7 @@ import numpy as np
 
 from roomeq.acoustics.decibels import FLOOR_POWER, power_db
 from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, SPECTRUM_HZ, THIRDS_HZ
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import BoolArray, FloatArray
 from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.core.jit import compiled
 from roomeq.effects.noise_floor import SHARE_OF_THIRD
@@ -85,14 +86,12 @@ def base_state(data: Data, absorption: FloatArray) -> PredictionState:
     return state
 
 
-def _reflected_energy(data: Data, state: PredictionState, rays: RayEnergy) -> FloatArray:
-    """Return the energy of all but the direct sound, shape (n_rirs, n_frames, 8).
+def _reflected_energy(data: Data, state: PredictionState, rays: RayEnergy, kept: FloatArray) -> FloatArray:
+    """Return the energy of all but the direct sound, shape (n_rirs, n_frames, 8), of which the air has `kept` a share.
 
     Frames are lengths of paths, given in seconds at the declared speed of sound.
     """
-    edges_s = data.frame_edges_s
-    length_m = data.distance_m[:, None] + 0.5 * (edges_s[1:] + edges_s[:-1]) * data.speed_m_s[:, None]
-    energy = rays.at(state) * np.exp(-length_m[:, :, None] * state.air_per_m[:, None, :])
+    edges_s, energy = data.frame_edges_s, rays.at(state) * kept
     if not state.decays:
         return energy
     whole, t60_s = energy.sum(axis=1), _eyring_times_s(data, state)
@@ -102,6 +101,13 @@ def _reflected_energy(data: Data, state: PredictionState, rays: RayEnergy) -> Fl
         left = np.exp(-edges_s[:, None] * rate[:, None, :])
         energy[rows] += (decay.energy_ratio(t60_s[rows], *air) * whole[rows])[:, None, :] * (left[:, :-1] - left[:, 1:])
     return energy
+
+
+def _kept_by_air(data: Data, air_per_m: FloatArray) -> FloatArray:
+    """Return the share of the energy in each frame that the air does not absorb, shape (n_rirs, n_frames, 8)."""
+    middle_s = 0.5 * (data.frame_edges_s[1:] + data.frame_edges_s[:-1])
+    length_m = data.distance_m[:, None] + middle_s * data.speed_m_s[:, None]
+    return np.exp(-length_m[:, :, None] * air_per_m[:, None, :])
 
 
 def _eyring_times_s(data: Data, state: PredictionState) -> FloatArray:
@@ -125,21 +131,36 @@ class ReflectedEnergy:
 
     def __init__(self, data: Data, state: PredictionState, rays: RayEnergy | None = None) -> None:
         self.rays = sum_rays(data, state) if rays is None else rays
-        self._energy, self._edges_s = _reflected_energy(data, state, self.rays), data.frame_edges_s
-        self._gates_s = [seconds * state.speed_m_s / data.speed_m_s for seconds in (DIRECT_S, EARLY_S, LATE_S)]
-        self._gain: FloatArray | None = None
-        self._levels = self._measured(self._energy)
-        self._direct: FloatArray | None = None
-        self._times_s: FloatArray = np.empty((len(self._energy), 3, N_BANDS))
+        self._data, self._air_per_m, self._kept = data, state.air_per_m, _kept_by_air(data, state.air_per_m)
+        self._times_s: FloatArray = np.empty((len(data.rows), 3, N_BANDS))
+        self._moved: BoolArray = np.ones(N_BANDS, dtype=bool)  # octaves whose decay times may change
+        self._set(state)
 
-    def copy(self) -> "ReflectedEnergy":
-        """Return a copy for another thread: what it keeps of the last state is its own."""
-        made = copy(self)
-        made._times_s = self._times_s.copy()
+    def _set(self, state: PredictionState) -> None:
+        self._energy = _reflected_energy(self._data, state, self.rays, self._kept)
+        self._gates_s = np.array([seconds * state.speed_m_s / self._data.speed_m_s
+                                  for seconds in (DIRECT_S, EARLY_S, LATE_S)])
+        self._gain: FloatArray | None = None
+        self._levels = levels_until(self._gates_s, self._energy)
+        self._direct: FloatArray | None = None
+
+    def moved_to(self, state: PredictionState, bands: Sequence[int] = ()) -> "ReflectedEnergy":
+        """Return the energy of a state that differs little in absorption and in directivity (`RayEnergy.at`).
+
+        Where it differs in the octaves `bands` alone, the decay times of others are as computed here before.
+        """
+        made = self.copy(bands)
+        if not same(state.air_per_m, self._air_per_m):
+            made._air_per_m, made._kept = state.air_per_m, _kept_by_air(self._data, state.air_per_m)
+        made._set(state)
         return made
 
-    def _measured(self, energy: FloatArray) -> tuple[FloatArray, ...]:
-        return *(_until(seconds, energy) for seconds in self._gates_s), energy.sum(axis=1)
+    def copy(self, bands: Sequence[int] = ()) -> "ReflectedEnergy":
+        """Return a copy, for another thread or for a direct sound that differs in the octaves `bands` alone."""
+        made = copy(self)
+        made._times_s = self._times_s.copy()
+        made._moved = np.isin(np.arange(N_BANDS), bands) if len(bands) else np.ones(N_BANDS, dtype=bool)
+        return made
 
     def levels(self, gain: FloatArray | None) -> tuple[FloatArray, ...]:
         """Return the energy until the gates `DIRECT_S`, `EARLY_S`, `LATE_S`, and all, shape (n_rirs, 8) each.
@@ -148,7 +169,7 @@ class ReflectedEnergy:
         """
         if not same(gain, self._gain):
             self._gain, self._direct = gain, None
-            self._levels = self._measured(self._gained())
+            self._levels = levels_until(self._gates_s, self._gained())
         return self._levels
 
     def _gained(self) -> FloatArray:
@@ -159,7 +180,7 @@ class ReflectedEnergy:
         self.levels(gain)
         if not same(direct, self._direct):
             self._direct, energy = direct, self._gained()
-            decay_times(direct, energy, self._edges_s, _PULSE_S, self._times_s)
+            decay_times(direct, energy, self._data.frame_edges_s, _PULSE_S, self._moved, self._times_s)
         return self._times_s
 
 
@@ -241,11 +262,30 @@ def predict_by_band(data: Data, state: PredictionState, reflected: ReflectedEner
     return Predicted(features + state.rendered_change, drr_energy)
 
 
-def _until(seconds: FloatArray, energy: FloatArray) -> FloatArray:
-    """Sum the energy that arrives until a time at the declared speed, shape (n_rirs,), over frames: (n_rirs, 8)."""
-    place = np.interp(seconds, FRAME_EDGES_S, np.arange(len(FRAME_EDGES_S)))
-    share = np.clip(place[:, None] - np.arange(energy.shape[1]), 0.0, 1.0)  # of each frame
-    return np.einsum("rf,rfb->rb", share, energy)
+def levels_until(gates_s: FloatArray, energy: FloatArray) -> FloatArray:
+    """Sum the energy that arrives until some times at the declared speed, (n_gates, n_rirs), and all energy.
+
+    Returns
+    -------
+    ndarray, shape (n_gates + 1, n_rirs, 8)
+    """
+    sums = np.zeros((len(gates_s) + 1, len(energy), N_BANDS))
+    _add_until(np.interp(gates_s, FRAME_EDGES_S, np.arange(len(FRAME_EDGES_S))), energy, sums)
+    return sums
+
+
+@compiled
+def _add_until(place: FloatArray, energy: FloatArray, sums: FloatArray) -> None:
+    """Add the frames up to a `place` among them, shape (n_gates, n_rirs), and all frames to sums; see `levels_until`.
+    """
+    n_gates, n_rirs = place.shape
+    for i in range(n_rirs):
+        for frame in range(energy.shape[1]):
+            for gate in range(n_gates + 1):
+                share = min(max(place[gate, i] - frame, 0.0), 1.0) if gate < n_gates else 1.0
+                if share > 0.0:
+                    for band in range(energy.shape[2]):
+                        sums[gate, i, band] += share * energy[i, frame, band]
 
 
 def _sum_db(first_db: FloatArray, second_db: FloatArray) -> FloatArray:
@@ -255,8 +295,8 @@ def _sum_db(first_db: FloatArray, second_db: FloatArray) -> FloatArray:
 
 @compiled
 def decay_times(direct: FloatArray, energy: FloatArray, edges_s: FloatArray, pulse_s: FloatArray,
-                times_s: FloatArray) -> None:
-    """Compute EDT, T20 and T30 from energies per frame into `times_s`, shape (n_rirs, 3, 8).
+                chosen: BoolArray, times_s: FloatArray) -> None:
+    """Compute EDT, T20 and T30 from energies per frame into `times_s`, shape (n_rirs, 3, 8), of `chosen` bands.
 
     The direct sound, shape (n_rirs, 8), arrives within `pulse_s`, shape (8,), at the beginning of the first frame.
     """
@@ -269,6 +309,8 @@ def decay_times(direct: FloatArray, energy: FloatArray, edges_s: FloatArray, pul
     lowest = 10.0 ** -3.5  # of T30; what is below is not needed
     for i in range(n_rirs):
         for band in range(n_bands):
+            if not chosen[band]:
+                continue
             total = 0.0
             curve[n_frames + 1] = 1e-30
             for frame in range(n_frames - 1, 0, -1):
