@@ -85,8 +85,6 @@ class Data:
         Of each RIR; shared by the RIRs of one source.
     path_samples : list of StoredSample
         Of each RIR: the paths from which it is rendered with any absorption.
-    sampled_facings : list of (ndarray or None)
-        Direction in which the source faced when they were drawn, None if that was unknown.
     tables : list of Table
     surface_per_m : ndarray, shape (n_rirs, 2)
         Area of the walls, and of floor and ceiling, over the volume of the room.
@@ -126,7 +124,6 @@ class Data:
     room_names: list[str]
     traced: list[StoredTrace]
     path_samples: list[StoredSample]
-    sampled_facings: list[FloatArray | None]
     tables: list[Table]
     surface_per_m: FloatArray
     air_per_m: FloatArray
@@ -258,7 +255,7 @@ def load_data(usable: UsableRirs, *, scattering: float, seed: int, model: Model 
     return Data(
         rows=rows, places=places, **measured, comparable=comparable_levels(rows, features, distance_m), room=room,
         chain=chain, place_number=place_number, room_names=room_names, traced=traced, path_samples=path_samples,
-        sampled_facings=[table.facing for table in tables], tables=tables,
+        tables=tables,
         surface_per_m=np.array([_surface_per_m(place.room) for place in places]),
         air_per_m=np.array([air.attenuation_per_m for air in airs]),
         speed_m_s=np.array([air.speed_m_s for air in airs]), distance_m=distance_m, rendered_changes={},
@@ -381,8 +378,7 @@ def _trace_sources(rows: list[RirRow], places: list[Place], features: list[Featu
         facings = [unit_facing(rows[n].get("source_dir")) for n in members]
         samples = draw_path_samples(source, mics_m, facings, decays_s,
                                     [rng_for(seed, "loop paths", rows[n]["id"]) for n in members])
-        # whole paths are needed once more where a facing is to be estimated
-        stored = file.store(source, paths=any(facing is None for facing in facings))
+        stored = file.store(source)
         tables = [replace(table, departures=file.store_array(departures)) if facing is None else
                   turned(table, departures, towards_microphone(places[n]), facing)
                   for n, facing, (table, departures) in zip(members, facings, collect(source, mics_m), strict=True)]

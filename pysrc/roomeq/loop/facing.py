@@ -16,14 +16,12 @@ from scipy.special import logsumexp
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.groups import numbers_by
 from roomeq.core.jit import on_threads
-from roomeq.core.rng import rng_for
 from roomeq.effects.prediction import PredictionState
 from roomeq.effects.source_directivity import SourceDirectivity, unit_facing
-from roomeq.loop.data import LENGTHS_S, Data
+from roomeq.loop.data import Data
 from roomeq.loop.facing_estimate import FacingEstimate, Hypothesis
 from roomeq.loop.features import BAND_OF_FEATURE, CALIBRATION_FEATURES, METRIC
 from roomeq.loop.packing import ParameterIndex
-from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
 from roomeq.loop.predict import ReflectedEnergy, predict
 from roomeq.loop.ray_energy import same
 from roomeq.loop.session import Session
@@ -67,7 +65,7 @@ def without_facings(data: Data, rirs: IntArray) -> Data:
 
 
 def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
-                     residual: FloatArray, spread: FloatArray, *, resample: bool = True, threads: int = 1) -> Data:
+                     residual: FloatArray, spread: FloatArray, *, threads: int = 1) -> Data:
     """Return data with an estimate of each unknown facing.
 
     The directivity of a source is unknown as well: it is one of cabinets of several sizes, that of the base model if it
@@ -83,8 +81,6 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         Measured minus predicted features; NaN where invalid.
     spread : ndarray, shape (n_features,)
         Scatter of the features [JND].
-    resample : bool
-        Whether the data will be rendered with these facings (`with_facings`).
     threads : int
         Number of threads; the result does not depend on it.
     """
@@ -121,9 +117,7 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         estimates.append(FacingEstimate(source, len(members), len(by_position), hypothesis, evidence,
                                         mean_angle_deg(data, of_source)))
         facings.update(of_source)
-    is_directive = SourceDirectivity in {*index.effects, *data.given_kinds}
-    return replace(with_facings(data, facings, resample=resample and is_directive, threads=threads),
-                   facings=tuple(estimates), axis=axis)
+    return replace(with_facings(data, facings), facings=tuple(estimates), axis=axis)
 
 
 def mean_angle_deg(data: Data, facings: Mapping[int, FloatArray]) -> float:
@@ -256,39 +250,12 @@ def _colour(data: Data, residual: FloatArray, bands: IntArray) -> FloatArray:
     return colour[unit][:, bands]
 
 
-def with_facings(data: Data, facings: Mapping[int, FloatArray], *, resample: bool = True, threads: int = 1) -> Data:
-    """Return data in which the sources of some RIRs face in some directions, unit vectors.
-
-    Parameters
-    ----------
-    data : Data
-    facings : mapping
-        From the number of an RIR.
-    resample : bool
-        Draw the samples of paths for these directions: without a directivity in the model, or after a small turn, those
-        that are there are hardly more noisy.
-    threads : int
-        Number of threads; the result does not depend on it.
-    """
+def with_facings(data: Data, facings: Mapping[int, FloatArray]) -> Data:
+    """Return data in which the sources of some RIRs face in some directions, unit vectors by the number of an RIR."""
     rows, tables = list(data.rows), list(data.tables)
-    path_samples, sampled_facings = list(data.path_samples), list(data.sampled_facings)
     for n, facing in facings.items():
         rows[n] = {**rows[n], "source_dir": [float(x) for x in facing]}
         if not same(tables[n].facing, facing):  # an estimate that is made again often finds the same
             departures = cast(StoredArray, tables[n].departures).load()
             tables[n] = turned(tables[n], departures, towards_microphone(data.places[n]), facing)
-    by_trace = _sharing(sorted(facings), [id(traced) for traced in data.traced]) if resample else []
-
-    def draw(members: list[int]) -> None:
-        drawn_again = [n for n in members if not same(sampled_facings[n], facings[n])]
-        if not drawn_again:
-            return
-        traced, mics_m = data.traced[members[0]].load(), np.array([data.places[n].mic_pos_m for n in drawn_again])
-        decays_s = decay_range_s(data.features[members], data.valid[members], LENGTHS_S[0]) or UNKNOWN_DECAYS_S
-        drawn = draw_path_samples(traced, mics_m, [facings[n] for n in drawn_again], decays_s,
-                                  [rng_for(data.seed, "loop paths", data.rows[n]["id"]) for n in drawn_again])
-        for n, sample in zip(drawn_again, data.traced[members[0]].file.store_samples(drawn), strict=True):
-            path_samples[n], sampled_facings[n] = sample, facings[n]
-
-    on_threads(draw, [(members,) for members in by_trace], threads)
-    return replace(data, rows=rows, tables=tables, path_samples=path_samples, sampled_facings=sampled_facings)
+    return replace(data, rows=rows, tables=tables)

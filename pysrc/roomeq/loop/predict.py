@@ -162,8 +162,8 @@ class ReflectedEnergy:
         made._moved = np.isin(np.arange(N_BANDS), bands) if len(bands) else np.ones(N_BANDS, dtype=bool)
         return made
 
-    def levels(self, gain: FloatArray | None) -> tuple[FloatArray, ...]:
-        """Return the energy until the gates `DIRECT_S`, `EARLY_S`, `LATE_S`, and all, shape (n_rirs, 8) each.
+    def levels(self, gain: FloatArray | None) -> FloatArray:
+        """Return the energy until the gates `DIRECT_S`, `EARLY_S`, `LATE_S`, and all, shape (4, n_rirs, 8).
 
         `gain` is `PredictionState.reflected_gain`.
         """

@@ -84,4 +84,4 @@ def refined_facings(session: Session) -> Data:
     for estimate in data.facings:
         of_source = {n: facing for n, facing in facings.items() if source_of[n] == estimate.source}
         estimates.append(replace(estimate, angle_deg=mean_angle_deg(data, of_source)) if of_source else estimate)
-    return replace(with_facings(data, facings, resample=False, threads=session.nj), facings=tuple(estimates))
+    return replace(with_facings(data, facings), facings=tuple(estimates))

@@ -170,7 +170,7 @@ def _scene_of(data: Data, model: RowModel) -> Scene:
 def _render(data: Data, model: RowModel, seed: int) -> RawRir:
     n, scene, place = model.n, _scene_of(data, model), data.places[model.n]
     gain = path_gain(model.effects, data.rows[n].get("source_dir"))
-    (response,) = render_responses(replace(data.traced[n].with_rays(), scene=scene), [place.mic_pos_m],
+    (response,) = render_responses(replace(data.traced[n].load(), scene=scene), [place.mic_pos_m],
                                    [rng_for(seed, "loop tail", data.rows[n]["id"])], source_directivity=gain,
                                    path_samples=[data.path_samples[n].load()])
     return RawRir(response.rir, scene, response.direct_visible * direct_gain(

@@ -1,4 +1,4 @@
-"""Rays, paths and samples of paths in a file until they are needed: they are most of what a loop remembers."""
+"""Rays and samples of paths in a file until they are needed: they are most of what a loop remembers."""
 
 import math
 import mmap
@@ -20,7 +20,7 @@ from roomeq.sim.trace import Paths
 Holder = TypeVar("Holder", Paths, PathSample)
 
 _RAYS, _PATHS = ("directions",), ("hits", "codes", "first", "counts")
-"""Arrays of `roomeq.sim.trace.Paths` that are kept in the file: for every rendering, and for whole paths alone."""
+"""Arrays of `roomeq.sim.trace.Paths` that are kept in the file, as every rendering needs them, and that are dropped."""
 _SAMPLE = ("weight", "reflection_counts", "last_reflection", "specular", "rays")
 """Arrays of a `PathSample` that are kept in the file."""
 
@@ -46,11 +46,11 @@ class TraceFile:
         self._maker = os.getpid()
         self._end = 0
 
-    def store(self, traced: TracedSource, *, paths: bool = True) -> "StoredTrace":
-        """Move a traced source to the file; without its `paths`, if nobody needs them any more."""
-        stored = tuple(self._save(of_trace, _RAYS + _PATHS * paths) for of_trace in traced.paths)
+    def store(self, traced: TracedSource) -> "StoredTrace":
+        """Move the rays of a traced source to the file, without their paths: renderings take samples of those."""
+        stored = tuple(self._save(of_trace, _RAYS) for of_trace in traced.paths)
         bare = replace(traced, paths=tuple(_emptied(of_trace, _RAYS + _PATHS) for of_trace in traced.paths))
-        return StoredTrace(bare, stored, paths, self)
+        return StoredTrace(bare, stored, self)
 
     def store_samples(self, samples: Sequence[PathSample]) -> list["StoredSample"]:
         """Move samples to the file; those that several microphones share, once."""
@@ -125,21 +125,19 @@ class StoredSample:
 
 @dataclass(frozen=True, eq=False)
 class StoredTrace:
-    """A traced source in a `TraceFile`.
+    """The rays of a traced source in a `TraceFile`.
 
     Attributes
     ----------
     bare : TracedSource
         Without its rays and paths.
     arrays : tuple of dict
-        Where the rays and paths of each trace are.
-    has_paths : bool
+        Where the rays of each trace are.
     file : TraceFile
     """
 
     bare: TracedSource
     arrays: tuple[Mapping[str, _Place], ...]
-    has_paths: bool
     file: TraceFile
 
     @property
@@ -147,24 +145,9 @@ class StoredTrace:
         """Scene as traced."""
         return self.bare.scene
 
-    def with_rays(self) -> TracedSource:
-        """Return the traced source without paths, for rendering from samples of them."""
-        return self._with(_RAYS)
-
     def load(self) -> TracedSource:
-        """Return the traced source; its arrays are mapped from the file, and leave memory with it.
-
-        Raises
-        ------
-        ValueError
-            The paths were not stored.
-        """
-        if not self.has_paths:
-            raise ValueError("the paths of this source were not stored")
-        return self._with(_RAYS + _PATHS)
-
-    def _with(self, names: tuple[str, ...]) -> TracedSource:
-        return replace(self.bare, paths=tuple(self.file.load(paths, arrays, names)
+        """Return the traced source without paths; its arrays are mapped from the file, and leave memory with it."""
+        return replace(self.bare, paths=tuple(self.file.load(paths, arrays, _RAYS)
                                               for paths, arrays in zip(self.bare.paths, self.arrays, strict=True)))
 
 
