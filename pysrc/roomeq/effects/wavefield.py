@@ -211,11 +211,11 @@ def crossover_hz(room: Room, t60_s: ArrayLike, speed_m_s: float) -> float:
         Per octave band.
     speed_m_s : float
     """
-    return _crossover_hz(room, tuple(map(float, np.asarray(t60_s))), float(speed_m_s))
+    return _crossover_hz(cast("Shoebox | MeshRoom", room), tuple(map(float, np.asarray(t60_s))), float(speed_m_s))
 
 
 @lru_cache(maxsize=256)
-def _crossover_hz(room: Room, t60_s: tuple[float, ...], speed_m_s: float) -> float:
+def _crossover_hz(room: Shoebox | MeshRoom, t60_s: tuple[float, ...], speed_m_s: float) -> float:
     def above_schroeder(frequency_hz: float) -> float:  # T depends on frequency
         return frequency_hz - 2000.0 * np.sqrt(3.0 * np.log(10.0) / damping_per_s(frequency_hz, t60_s) / room.volume_m3)
 

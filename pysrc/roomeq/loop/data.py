@@ -376,7 +376,7 @@ def _trace_sources(rows: list[RirRow], places: list[Place], features: list[Featu
                               max_length_s=_traced_length_s(decays_s[1]),
                               rng=rng_for(seed, "loop trace", repr((room_id, source_pos_m))), absorption=expected)
         facings = [unit_facing(rows[n].get("source_dir")) for n in members]
-        samples = draw_path_samples(source, mics_m, facings, decays_s,
+        samples = draw_path_samples(source, mics_m, decays_s,
                                     [rng_for(seed, "loop paths", rows[n]["id"]) for n in members])
         stored = file.store(source)
         tables = [replace(table, departures=file.store_array(departures)) if facing is None else

@@ -187,16 +187,18 @@ class UnknownGeometry:
 
     def _log_likelihood(self, values: FloatArray, rirs: IntArray) -> FloatArray:
         result = np.empty((len(values), len(rirs)))
-        add_arrivals(values, rirs, self._ratio, *self._positions_m.values(), *self._height_of.values(),
-                      np.array(self._speed_m_s) / self.unknowns[SPEED].mean, early_images()[0],
-                      heard_probability(values[:, _HEARD]), self._direct_s, result)
+        (sources_m, mics_m), (source_height, mic_height) = (of_devices.values() for of_devices in (self._positions_m,
+                                                                                                   self._height_of))
+        of_speed = np.array(self._speed_m_s) / self.unknowns[SPEED].mean
+        add_arrivals(values, rirs, self._ratio, sources_m, mics_m, source_height, mic_height, of_speed,
+                     early_images()[0], heard_probability(values[:, _HEARD]), self._direct_s, result)
         return result
 
 
 @compiled
 def add_arrivals(values: FloatArray, rirs: IntArray, ratio: FloatArray, sources_m: FloatArray, mics_m: FloatArray,
-                  source_height: IntArray, mic_height: IntArray, of_speed: FloatArray, cells: IntArray,
-                  probability: FloatArray, direct_s: FloatArray, result: FloatArray) -> None:
+                 source_height: IntArray, mic_height: IntArray, of_speed: FloatArray, cells: IntArray,
+                 probability: FloatArray, direct_s: FloatArray, result: FloatArray) -> None:
     """Compute the log-likelihood of the arrivals of some RIRs for each of some geometries, (n_points, n_rirs).
 
     Parameters

@@ -61,7 +61,6 @@ _FARTHEST = 1.5  # decay, relative to that of a reference, to which the gain of 
 _LOG_LARGEST_GAIN = np.float32(np.log(LARGEST_GAIN))
 _ROUNDING_M = 1e-6  # of the coordinates of arrays that are turned
 _NO_GAIN = np.zeros((0, 0, 0), np.float32)
-_NO_WEIGHT = np.zeros(0, np.float32)
 _NO_EMITTED = np.zeros((0, 8), np.float32)
 _NEGLIGIBLE = np.float32(1e-25)  # share of a ray's energy at a reference that counts as none
 _SPECULAR = np.uint32(1 << 31)  # added to the last reflection of a path that ends specularly
@@ -238,8 +237,7 @@ class PathSample:
 
 
 def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, rngs: Sequence[np.random.Generator], *,
-                 ism_order: int, n_frames: int, visible: Sequence[Array] | None = None,
-                 ray_weight: Array | None = None) -> list[PathSample]:
+                 ism_order: int, n_frames: int, visible: Sequence[Array] | None = None) -> list[PathSample]:
     """Sample the paths that reach some microphones; those of a small array share a sample (`SHARING_M`).
 
     At 0.1 m, the energies of the sampled paths differ so little that T20 and EDT change by 0.2 % (rms) and C50 by
@@ -260,9 +258,6 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
         Frames of 1 ms from the emission on.
     visible
         From `reflection_visibility`, for each trace; computed where it is not given.
-    ray_weight
-        About the energy gain of each ray at a directive source, shape (n_rays,): half of the paths are drawn with it.
-        The echogram is right for any directivity, and least noisy for this one.
 
     Returns
     -------
@@ -284,14 +279,14 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
         tallies = paths.tallies or tally_reflections(paths)
         references = _references(absorption[:, np.equal(traced.trace_of_band, trace)])
         limits = ray_limits(paths, eight_bands((1.0 - references).T[paths.face_surface], 0),
-                            _emitted(ray_weight), n_frames=n_frames, frames_per_m=float(np.float32(1.0 / frame_m)),
+                            _NO_EMITTED, n_frames=n_frames, frames_per_m=float(np.float32(1.0 / frame_m)),
                             n_bands=_PER_CHUNK)
         limited.log_gain[trace] = np.log(limits.gain)
         limited.decay[trace] = _mean_decay(share, (1.0 - references).T)
         for start in range(0, len(mics_m), MICS_PER_PASS):
             batch = slice(start, start + MICS_PER_PASS)
             _sample_trace(paths, tallies, traced.scene, mics_m[batch], references, limits.largest, seeds[batch],
-                          Spheres(spheres.radius_m[batch], spheres.volume_m3[batch]), ism_order, n_frames, ray_weight,
+                          Spheres(spheres.radius_m[batch], spheres.volume_m3[batch]), ism_order, n_frames,
                           None if visible is None or not len(visible[trace]) else visible[trace][leaders[batch]],
                           [(sample.weight[trace], sample.reflection_counts[trace], sample.last_reflection[trace],
                             sample.specular[trace], sample.rays[trace]) for sample in result[batch]])
@@ -327,13 +322,6 @@ def _mean_decay(surface_share: FloatArray, reflected: Array) -> FloatArray:
     return -np.log(np.clip(surface_share @ reflected, 1e-6, 1.0 - 1e-6))
 
 
-def _emitted(ray_weight: Array | None) -> Array:
-    """Return the energy of each ray at the source for both references, in eight bands; of no rays if all have 1."""
-    if ray_weight is None:
-        return _NO_EMITTED
-    return np.ascontiguousarray(eight_bands(np.stack([np.ones_like(ray_weight), ray_weight], axis=1), 0))
-
-
 def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, trace_of_band: tuple[int, ...],
                   frame_m: float, limited: LimitedGain) -> PathSample:
     """Allocate the sample of one microphone; nothing is filled in yet."""
@@ -346,8 +334,7 @@ def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, trace
 
 def _sample_trace(paths: Paths, tallies: Tallies, scene: Scene, mics_m: FloatArray, references: FloatArray,
                   limits: Array, seeds: Array, spheres: Spheres, ism_order: int, n_frames: int,
-                  ray_weight: Array | None, visible: Array | None,
-                  results: list[tuple[Array, Array, Array, Array, Array]]) -> None:
+                  visible: Array | None, results: list[tuple[Array, Array, Array, Array, Array]]) -> None:
     """Sample one trace into the (weight, counts, last, specular, rays) of each microphone."""
     single = partial(np.asarray, dtype=np.float32)
     n_rays, speed_m_s = len(paths.counts), scene.air.speed_m_s
@@ -356,23 +343,22 @@ def _sample_trace(paths: Paths, tallies: Tallies, scene: Scene, mics_m: FloatArr
     shape = (N_CHUNKS, len(mics_m), n_frames)
     sums = np.zeros((*shape, 2 * _PER_CHUNK), dtype=np.float32)
     kept, of_ray = np.zeros((2, *shape, _PER_CHUNK), dtype=np.uint32)
-    weight = _NO_WEIGHT if ray_weight is None else single(ray_weight)
     constant = (Rules(ism_order, np.float32(paths.late_m)), paths.hits, paths.codes, paths.first, paths.counts,
                 single(paths.normals), paths.curved, paths.face_surface,
                 single(1.0 - references), single(paths.scattering),
                 single(mics_m.T, order="C"), visible, single(spheres.radius_m ** 2), single(1.0 / spheres.volume_m3),
-                np.float32(1.0 / (speed_m_s * FRAME_S)), seeds, weight, limits)
+                np.float32(1.0 / (speed_m_s * FRAME_S)), seeds, limits)
     for_chunks(n_rays, lambda chunk, low, high: _sample(*constant, low, high, sums[chunk], kept[chunk],
                                                         of_ray[chunk]))
     power = (1.0 - references[..., None]) ** np.arange(1.0 + paths.counts.max())
     scale = 1.0 / (4.0 * np.pi * n_rays)
-    on_threads(lambda m, arrays: _unpack(sums[:, m], kept[:, m], of_ray[:, m], tallies, power, scale, weight, *arrays),
+    on_threads(lambda m, arrays: _unpack(sums[:, m], kept[:, m], of_ray[:, m], tallies, power, scale, *arrays),
                list(enumerate(results)))
 
 
 @compiled
-def _unpack(sums: Array, kept: Array, of_ray: Array, tallies: Tallies, power: Array, scale: Number, ray_weight: Array,
-            weight: Array, counts: Array, last: Array, specular: Array, rays: Array) -> None:
+def _unpack(sums: Array, kept: Array, of_ray: Array, tallies: Tallies, power: Array, scale: Number, weight: Array,
+            counts: Array, last: Array, specular: Array, rays: Array) -> None:
     """Join the strata of one microphone: the weight is 1 over the sum of the densities at both references."""
     n_frames, n_surfaces = len(weight), power.shape[1]
     for frame in range(n_frames):
@@ -380,8 +366,6 @@ def _unpack(sums: Array, kept: Array, of_ray: Array, tallies: Tallies, power: Ar
             chunk, n = place // kept.shape[2], place % kept.shape[2]
             at, share0, share1 = kept[chunk, frame, n] & ~_SPECULAR, 1.0, 1.0
             rays[frame, place] = of_ray[chunk, frame, n]
-            if len(ray_weight):
-                share1 = np.float64(ray_weight[rays[frame, place]])
             last[frame, place] = at
             specular[frame, place] = kept[chunk, frame, n] & _SPECULAR != 0
             for surface in range(n_surfaces):
@@ -463,16 +447,14 @@ def _replace(sums: Array, kept: Array, of_ray: Array, m: Number, frame: Number, 
 @compiled
 def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: Array, normals: Array, curved: Array,
             face_surface: Array, reflection: Array, scattering: Array, mics: Array, visible: Array, radius2: Array,
-            per_volume: Array, frames_per_m: Number, seeds: Array, ray_weight: Array, limits: Array, low: Number,
-            high: Number, sums: Array, kept: Array, of_ray: Array) -> None:
+            per_volume: Array, frames_per_m: Number, seeds: Array, limits: Array, low: Number, high: Number,
+            sums: Array, kept: Array, of_ray: Array) -> None:
     """Sample the paths of rays `low` to `high`.
 
     Parameters
     ----------
     reflection : ndarray of float32, shape (2, n_surfaces)
         Share of energy that is reflected at each reference.
-    ray_weight : ndarray of float32, shape (n_rays,)
-        Energy of each ray at the second reference; empty if that is 1.
     limits : ndarray of float32, shape (n_frames, 2)
         Of the energy of a ray at each reference (`roomeq.sim.ray_limits`).
     sums : ndarray of float32, shape (n_mics, n_frames, 2 * _PER_CHUNK)
@@ -487,7 +469,7 @@ def _sample(rules: Rules, hits: Array, codes: Array, first: Array, face_counts: 
     zero, one = np.float32(0.0), np.float32(1.0)
     along, weight, frame = np.empty(n_mics, np.float32), np.empty(n_mics, np.float32), np.empty(n_mics, np.float32)
     for ray in range(low, high):
-        share0, share1 = one, ray_weight[ray] if len(ray_weight) else one
+        share0, share1 = one, one
         step, hit = at_source(), (zero, zero, zero, zero)
         for n in range(face_counts[ray]):
             at = first[ray] + n
