@@ -462,7 +462,6 @@ def test_energy_of_rays_at_another_absorption_and_directivity_is_that_of_another
     whole = sum_rays(data, state).energy
     rays = sum_rays(data, state, by_absorption=True, by_angle=True)
     np.testing.assert_array_equal(rays.energy, whole)
-    np.testing.assert_array_equal(sum_rays(data, state, threads=3).energy, whole)
     assert rays.at(state) is rays.energy
     for surfaces in (0, 1):
         below, above = (replace(state, absorption=state.absorption * np.where(
@@ -529,18 +528,7 @@ def test_derivatives_are_kept_while_features_hardly_change(session):
     assert linearization.at(far, fitted.local)[1] is not exact
 
 
-def test_fit_does_not_depend_on_threads(session):
-    effects = tuple(CATALOGUE[name] for name in ("source_response", "source_directivity", "noise_floor"))
-    one, three = (fit(session.data, session.correction, effects, initial=session.fit, iterations=2, threads=threads)
-                  for threads in (1, 3))
-    for a, b in zip((one.mean, one.predicted, one.derivatives.by_surface, *one.local),
-                    (three.mean, three.predicted, three.derivatives.by_surface, *three.local), strict=True):
-        np.testing.assert_array_equal(a, b)
-    for effect in effects:
-        np.testing.assert_array_equal(one.derivatives.by_effect[effect], three.derivatives.by_effect[effect])
-
-
-def test_a_copy_of_reflected_energy_is_for_another_thread(session):
+def test_a_copy_of_reflected_energy_is_for_another_state(session):
     data, index, fitted = session.data, session.index, session.fit
     state = index.state(index.absorption(fitted.mean, fitted.local), index.vectors(fitted.mean, fitted.local))
     one = ReflectedEnergy(data, state)
@@ -611,7 +599,7 @@ def test_axes_are_refined_together_with_the_directivity(room_set, tmp_path):
     turns_rad = np.radians([12.0, -12.0, -12.0, 12.0, 12.0])
     wrong = {n: _turned(true[row["id"]], turns_rad[data.room[n]]) for n, row in enumerate(data.rows)}
     base = fit_base_model(replace(with_facings(data, wrong), axis=data.room), seed=0, nj=2)
-    fitted = fit(base.data, base.correction, (SourceDirectivity,), threads=2)
+    fitted = fit(base.data, base.correction, (SourceDirectivity,))
     refined = refined_facings(replace(base, effects=fitted.effects, fit=fitted))
     before_deg, after_deg = ([np.degrees(np.arccos(np.clip(true[row["id"]] @ row["source_dir"], -1.0, 1.0)))
                               for row in turned.rows] for turned in (base.data, refined))

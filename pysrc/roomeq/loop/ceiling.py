@@ -44,7 +44,7 @@ def ceiling_errors(session: Session) -> HeldOutErrors:
     data, index, fitted = session.data, session.index, session.fit
     twins = twin_recordings(data, index.absorption(fitted.mean, fitted.local), session.by_row,
                             index.gains(fitted.local), seed=session.seed, nj=session.nj)
-    refitted = fit(twins, session.correction, session.effects, initial=fitted, threads=session.nj)
+    refitted = fit(twins, session.correction, session.effects, initial=fitted)
     return heldout_errors(replace(session, data=twins, fit=refitted))
 
 

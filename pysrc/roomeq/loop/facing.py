@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.groups import numbers_by
-from roomeq.core.jit import on_threads
+from roomeq.core.workers import share_out
 from roomeq.effects.prediction import PredictionState
 from roomeq.effects.source_directivity import SourceDirectivity, unit_facing
 from roomeq.loop.data import Data
@@ -56,7 +56,7 @@ def with_estimated_facings(session: Session, unknown: IntArray | None = None) ->
     fitted = session.fit
     data = session.data if unknown is None else without_facings(session.data, unknown)
     return replace(session, data=estimate_facings(data, session.index, fitted.mean, fitted.local, session.residual,
-                                                  np.hypot(fitted.sigma, fitted.omega), threads=session.nj))
+                                                  np.hypot(fitted.sigma, fitted.omega), nj=session.nj))
 
 
 def without_facings(data: Data, rirs: IntArray) -> Data:
@@ -65,7 +65,7 @@ def without_facings(data: Data, rirs: IntArray) -> Data:
 
 
 def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
-                     residual: FloatArray, spread: FloatArray, *, threads: int = 1) -> Data:
+                     residual: FloatArray, spread: FloatArray, *, nj: int = 1) -> Data:
     """Return data with an estimate of each unknown facing.
 
     The directivity of a source is unknown as well: it is one of cabinets of several sizes, that of the base model if it
@@ -81,13 +81,13 @@ def estimate_facings(data: Data, index: ParameterIndex, mean: FloatArray, local:
         Measured minus predicted features; NaN where invalid.
     spread : ndarray, shape (n_features,)
         Scatter of the features [JND].
-    threads : int
-        Number of threads; the result does not depend on it.
+    nj : int
+        Number of processes; the result does not depend on it.
     """
     unknown = unknown_facings(data)
     if not len(unknown):
         return data
-    log_likelihood, log_alike = _log_likelihood(data, index, mean, local, residual, spread, threads)
+    log_likelihood, log_alike = _log_likelihood(data, index, mean, local, residual, spread, nj)
     # RIRs that share a direct sound, which errs alike in all of them, tell as much as one
     position, direct_sound = ([key(data, n) for n in range(len(data.rows))] for key in (_position, _direct_sound))
     share = np.empty(len(data.rows))
@@ -145,7 +145,7 @@ def _best_axes(groups: list[list[int]], towards: FloatArray, log_likelihood: Flo
 
 
 def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
-                    residual: FloatArray, spread: FloatArray, threads: int = 1) -> tuple[FloatArray, FloatArray]:
+                    residual: FloatArray, spread: FloatArray, nj: int) -> tuple[FloatArray, FloatArray]:
     """Return the log likelihood of the direct sound of each RIR, with some directivities and without any.
 
     Reflections leave in all directions, so that their gain is the mean over the sphere. The response of the source
@@ -196,7 +196,7 @@ def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: 
         return np.concatenate([log_likelihood(predict(at_one, state_of(at_one, directivities), energy.copy()) - plain)
                                for directivities, energy in zip(possible, reflected, strict=True)])
 
-    of_angles = on_threads(at_angle, [(float(angle),) for angle in _TEST_ANGLES], threads)
+    of_angles = share_out(at_angle, _TEST_ANGLES.tolist(), nj, first_here=False, label="facings of sources")
     return np.stack(of_angles, axis=2), log_likelihood(np.zeros_like(plain))
 
 

@@ -106,7 +106,7 @@ class Fit:
 
 def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         start: Sequence[Any] | None = None, initial: Fit | None = None, known: Derivatives | None = None,
-        iterations: int = ITERATIONS, threads: int = 1) -> Fit:
+        iterations: int = ITERATIONS) -> Fit:
     """Fit a model.
 
     Parameters
@@ -122,8 +122,6 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
     known : Derivatives, optional
         Derivatives that are not computed again in every iteration, such as those of a smaller model.
     iterations : int
-    threads : int
-        Number of threads; the result does not depend on it.
     """
     index = ParameterIndex(data, effects)
     measured = [effect.measured_vectors(data) for effect in index.effects]
@@ -143,14 +141,14 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
         _continue(index, initial, mean, local)
     start_from_measured(index, mean, local, [None if initial is not None and effect in initial.effects else vectors
                                              for effect, vectors in zip(index.effects, measured, strict=True)])
-    linearization = Linearization(index, correction, known, threads)
+    linearization = Linearization(index, correction, known)
     for iteration in progress(range(iterations), iterations, "fit: iterations"):
         precision = [inverted(of_room) for of_room in covariances(index, shape, own_scale, gain_db)]
         predicted, derivatives = linearization.at(mean, local)
         residual, valid = data.residual(predicted)
         if iteration:
             sigma, omega = scatter(data, residual, valid)
-        normal = all_normal_equations(index, residual, valid, derivatives, sigma, omega, threads)
+        normal = all_normal_equations(index, residual, valid, derivatives, sigma, omega)
         cost_at = partial(cost, linearization, sigma, omega, precision, prior)
         mean, local, posterior, fall = take_step(cost_at, normal, precision, mean, local, prior, STEP_FRACTIONS[:2])
         shape = _best_shape(local, posterior)
@@ -163,7 +161,7 @@ def fit(data: Data, correction: FloatArray, effects: Sequence[type[Effect]],
     predicted, derivatives = linearization.at(mean, local, same_jnd=0.0)  # densities of rooms need the right ones
     residual, valid = data.residual(predicted)
     sigma, omega = scatter(data, residual, valid)
-    normal = all_normal_equations(index, residual, valid, derivatives, sigma, omega, threads)
+    normal = all_normal_equations(index, residual, valid, derivatives, sigma, omega)
     return Fit(index.effects, mean, local, covariance, sigma, omega, predicted, normal, derivatives, gain_db)
 
 

@@ -299,11 +299,11 @@ def _with_facings(data: Data, session: Session) -> Data:
     for _ in range(_FACING_ROUNDS):
         index = ParameterIndex(data, session.effects)
         mean, local = solve_rooms(index, session.fit, transfer_shared(session, index), correction,
-                                  split_positions(data)[0], threads=session.nj)
+                                  split_positions(data)[0])
         residual, valid = data.residual(index.predict(index.absorption(mean, local), index.vectors(mean, local),
                                                       index.gains(local), correction))
         data = estimate_facings(without_facings(data, unknown), index, mean, local, np.where(valid, residual, np.nan),
-                                np.hypot(session.fit.sigma, session.fit.omega), threads=session.nj)
+                                np.hypot(session.fit.sigma, session.fit.omega), nj=session.nj)
     return data
 
 

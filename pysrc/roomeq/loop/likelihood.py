@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray
-from roomeq.core.jit import compiled, on_threads
+from roomeq.core.jit import compiled
 from roomeq.loop.data import Data
 from roomeq.loop.features import METRIC, N_FEATURES
 from roomeq.loop.packing import Derivatives, ParameterIndex
@@ -61,10 +61,9 @@ def add_block(matrix: FloatArray, place: IntArray, block: FloatArray, sign: floa
 
 
 def all_normal_equations(index: ParameterIndex, residual: FloatArray, valid: BoolArray, derivatives: Derivatives,
-                         sigma: FloatArray, omega: FloatArray, threads: int = 1) -> list[NormalEquations]:
+                         sigma: FloatArray, omega: FloatArray) -> list[NormalEquations]:
     """Return the normal equations of all rooms (see `normal_equations`)."""
-    return on_threads(lambda r: normal_equations(index, r, residual, valid, derivatives, sigma, omega),
-                      [(r,) for r in range(len(index.members))], threads)
+    return [normal_equations(index, r, residual, valid, derivatives, sigma, omega) for r in range(len(index.members))]
 
 
 def normal_equations(index: ParameterIndex, r: int, residual: FloatArray, valid: BoolArray, derivatives: Derivatives,

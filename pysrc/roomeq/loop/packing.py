@@ -16,7 +16,7 @@ the sum of a gain of the room and session, one of the source in that room and on
 whose level cannot be compared (`roomeq.loop.measurability`) has a gain of its own.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -24,7 +24,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
-from roomeq.core.jit import on_threads
 from roomeq.effects.base import Effect
 from roomeq.effects.model import is_directive
 from roomeq.effects.prediction import PredictionState
@@ -264,23 +263,20 @@ class ParameterIndex:
                 self._apply(k, of_room[k], state, room)
         return predict(self.data, state)
 
-    def predict_at(self, mean: FloatArray, local: list[FloatArray], known: Derivatives | None = None,
-                   threads: int = 1) -> "_Prediction":
+    def predict_at(self, mean: FloatArray, local: list[FloatArray], known: Derivatives | None = None) -> "_Prediction":
         """Return a prediction from which `linearize` can go on; arguments as there."""
         vectors, state, before = self.vectors(mean, local), base_state(self.data, self.absorption(mean, local)), []
         for k, of_effect in enumerate(vectors):
             before.append(state.copy())
             self._apply(k, of_effect, state)
         unknown = set(self.effects).difference(known.by_effect if known else ())
-        rays = sum_rays(self.data, state, by_absorption=known is None, by_angle=any(map(is_directive, unknown)),
-                        threads=threads)
+        rays = sum_rays(self.data, state, by_absorption=known is None, by_angle=any(map(is_directive, unknown)))
         reflected = ReflectedEnergy(self.data, state, rays)
         return _Prediction(vectors, before, state, reflected, predict_by_band(self.data, state, reflected),
                            np.outer(self.gains(local), HAS_GAIN))
 
     def linearize(self, mean: FloatArray, local: list[FloatArray], correction: FloatArray,
-                  known: Derivatives | None = None, threads: int = 1, at: "_Prediction | None" = None
-                  ) -> tuple[FloatArray, Derivatives]:
+                  known: Derivatives | None = None, at: "_Prediction | None" = None) -> tuple[FloatArray, Derivatives]:
         """Return predicted features, shape (n_rirs, n_features), and their derivatives.
 
         Parameters
@@ -291,23 +287,20 @@ class ParameterIndex:
             Rendering correction.
         known : Derivatives, optional
             Derivatives that are not computed again, by the surface parameters and by any effects.
-        threads : int
-            On which the derivatives are computed.
         at : _Prediction, optional
             Of `predict_at` with the same arguments.
         """
-        at = at or self.predict_at(mean, local, known, threads)
+        at = at or self.predict_at(mean, local, known)
         centre, reflected = at.predicted, at.reflected
-        jobs: list[tuple[Callable[..., None], tuple[Any, ...]]] = []
 
-        def by_absorption(slopes: FloatArray, bands: list[int], first: int, step: tuple[float, float]) -> None:
+        def by_absorption(bands: list[int], step: tuple[float, float]) -> FloatArray:
             # no effect changes the absorption, and none depends on it
             moved = replace(at.state, absorption=at.state.absorption.copy())
             moved.absorption[:, :, bands] *= np.exp(_SURFACE_STEP * np.array(step))[:, None]
             moved_to = predict_by_band(self.data, moved, reflected.moved_to(moved, bands))
-            slopes[:, :, [first + band for band in bands]] = _slopes(centre, moved_to, bands, _SURFACE_STEP)
+            return _slopes(centre, moved_to, bands, _SURFACE_STEP)
 
-        def by_vector(slopes: FloatArray, k: int, group: list[int]) -> None:
+        def by_vector(k: int, group: list[int]) -> FloatArray:
             effect, moved, moved_state = self.effects[k], at.vectors[k].copy(), at.before[k].copy()
             steps = _STEP * np.array(effect.SPREAD)[group]
             moved[:, group] += steps
@@ -316,21 +309,22 @@ class ParameterIndex:
             bands = [band for p in group if (band := effect.BANDS[p] if effect.BANDS else None) is not None]
             moved_to = predict_by_band(self.data, moved_state, reflected.moved_to(moved_state, bands)
                                        if effect.REFLECTIONS else reflected.copy(bands))
-            slopes[:, :, group] = _slopes(centre, moved_to, bands, steps) if bands else (
-                moved_to.features - centre.features)[:, :, None] / steps
+            return (_slopes(centre, moved_to, bands, steps) if bands else
+                    (moved_to.features - centre.features)[:, :, None] / steps)
 
         if known is None:
             by_surface = np.empty((*centre.features.shape, N_SURFACE))
-            jobs += [(by_absorption, (by_surface, bands, first, step)) for bands in _separate(range(N_BANDS))
-                     for first, step in ((0, (1.0, 1.0)), (N_BANDS, (-0.5, 0.5)))]
+            for bands in _separate(range(N_BANDS)):
+                for first, step in ((0, (1.0, 1.0)), (N_BANDS, (-0.5, 0.5))):
+                    by_surface[:, :, [first + band for band in bands]] = by_absorption(bands, step)
         else:
             by_surface = known.by_surface
         by_effect = {effect: known.by_effect[effect] for effect in self.effects if known and effect in known.by_effect}
         for k, effect in enumerate(self.effects):
             if effect not in by_effect:
                 by_effect[effect] = np.empty((*centre.features.shape, len(effect.SPREAD)))
-                jobs += [(by_vector, (by_effect[effect], k, group)) for group in _groups_of(effect)]
-        on_threads(lambda job, arguments: job(*arguments), jobs, threads)
+                for group in _groups_of(effect):
+                    by_effect[effect][:, :, group] = by_vector(k, group)
         return at.features + correction, Derivatives(by_surface, by_effect)
 
     def room_derivatives(self, r: int, derivatives: Derivatives) -> list[tuple[FloatArray, IntArray]]:
@@ -371,19 +365,18 @@ class Linearization:
     Parameters
     ----------
     index : ParameterIndex
-    correction, known, threads
+    correction, known
         As for `ParameterIndex.linearize`.
     """
 
-    def __init__(self, index: ParameterIndex, correction: FloatArray, known: Derivatives | None = None,
-                 threads: int = 1) -> None:
-        self.index, self._correction, self._known, self._threads = index, correction, known, threads
+    def __init__(self, index: ParameterIndex, correction: FloatArray, known: Derivatives | None = None) -> None:
+        self.index, self._correction, self._known = index, correction, known
         self._newest: tuple[FloatArray, list[FloatArray], _Prediction] | None = None
         self._linearized: tuple[FloatArray, Derivatives] | None = None
 
     def _predict_at(self, mean: FloatArray, local: list[FloatArray]) -> _Prediction:
         if self._newest is None or self._newest[0] is not mean or self._newest[1] is not local:
-            self._newest = mean, local, self.index.predict_at(mean, local, self._known, self._threads)
+            self._newest = mean, local, self.index.predict_at(mean, local, self._known)
         return self._newest[2]
 
     def predicted(self, mean: FloatArray, local: list[FloatArray]) -> FloatArray:
@@ -398,7 +391,7 @@ class Linearization:
             change = (predicted - origin)[self.index.data.valid]
             if not len(change) or np.sqrt(np.mean(change ** 2)) <= same_jnd:
                 return predicted, derivatives
-        self._linearized = self.index.linearize(mean, local, self._correction, self._known, self._threads,
+        self._linearized = self.index.linearize(mean, local, self._correction, self._known,
                                                 self._predict_at(mean, local))
         return self._linearized
 

@@ -156,7 +156,7 @@ class ReflectedEnergy:
         return made
 
     def copy(self, bands: Sequence[int] = ()) -> "ReflectedEnergy":
-        """Return a copy, for another thread or for a direct sound that differs in the octaves `bands` alone."""
+        """Return a copy for a state that differs otherwise; its direct sound does in the octaves `bands` alone."""
         made = copy(self)
         made._times_s = self._times_s.copy()
         made._moved = np.isin(np.arange(N_BANDS), bands) if len(bands) else np.ones(N_BANDS, dtype=bool)

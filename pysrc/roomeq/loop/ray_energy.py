@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomeq.core.arrays import Array, FloatArray, IntArray, Number, Numbers
-from roomeq.core.jit import compiled, on_threads
+from roomeq.core.jit import compiled
 from roomeq.effects.prediction import PredictionState
 from roomeq.loop.data import Data
 from roomeq.loop.tables import ANGLES, LEVEL_SHARES
@@ -71,8 +71,7 @@ def same(one: FloatArray | None, other: FloatArray | None) -> bool:
     return one is other or (one is not None and other is not None and np.array_equal(one, other))
 
 
-def sum_rays(data: Data, state: PredictionState, *, by_absorption: bool = False, by_angle: bool = False,
-             threads: int = 1) -> RayEnergy:
+def sum_rays(data: Data, state: PredictionState, *, by_absorption: bool = False, by_angle: bool = False) -> RayEnergy:
     """Sum the ray contributions of each RIR over the frames `Data.frame_edges_s`.
 
     Parameters
@@ -82,8 +81,6 @@ def sum_rays(data: Data, state: PredictionState, *, by_absorption: bool = False,
         Its absorption and directivity.
     by_absorption, by_angle : bool
         What `RayEnergy` has besides the sum: what `RayEnergy.at` needs of another absorption or directivity.
-    threads : int
-        Number of threads; the result does not depend on it.
     """
     # share of the energy that each reflection leaves, shape (n_rirs, n_shares, 8)
     share = LEVEL_SHARES[:, None]
@@ -93,16 +90,10 @@ def sum_rays(data: Data, state: PredictionState, *, by_absorption: bool = False,
     energy = np.zeros((n_rirs, n_frames, _N_BANDS))
     slopes = np.zeros((n_rirs, 2 if by_absorption else 0, n_frames, _N_BANDS))
     parts = np.zeros((n_rirs, n_frames if by_angle else 0, _N_ANGLES, _N_BANDS), np.float32)
-
-    def add_tables(first: int, last: int) -> None:
-        for i in range(first, last):
-            table = data.tables[i]
-            angular = _NO_ANGLES if table.angular is None else table.angular
-            of_angle = _NO_ANGLES if table.angular is None or gain is None else gain[i]
-            add_up(table.entries, table.counts, angular, of_angle, kept[i], energy[i], slopes[i], parts[i])
-
-    edges = np.linspace(0, n_rirs, threads + 1).astype(int)
-    on_threads(add_tables, list(zip(edges[:-1], edges[1:], strict=True)), threads)
+    for i, table in enumerate(data.tables):
+        angular = _NO_ANGLES if table.angular is None else table.angular
+        of_angle = _NO_ANGLES if table.angular is None or gain is None else gain[i]
+        add_up(table.entries, table.counts, angular, of_angle, kept[i], energy[i], slopes[i], parts[i])
     return RayEnergy(state.absorption, state.ray_gain, energy, slopes, parts)
 
 

@@ -75,7 +75,7 @@ def refined_facings(session: Session) -> Data:
         return data
     shown = replace(data, valid=data.valid & ~(SHOW_DIRECT_SOUND & ~CALIBRATION_FEATURES))
     # the azimuth error comes first, so that the directivity finds the turned axes
-    fitted = fit(shown, session.correction, [_AzimuthError, *session.effects], initial=session.fit, threads=session.nj)
+    fitted = fit(shown, session.correction, [_AzimuthError, *session.effects], initial=session.fit)
     index = ParameterIndex(shown, fitted.effects)
     angles_rad = index.vectors(fitted.mean, fitted.local)[0][index.shared[0].unit, 0]
     facings = {int(n): _turned(cast(list[float], data.rows[n]["source_dir"]), angles_rad[n]) for n in turning}

@@ -100,8 +100,7 @@ class Choice(NamedTuple):
 def rank(session: Session, eliminated: Collection[type[Effect]] = ()) -> Ranking:
     """Fit each effect that the model lacks and did not lose, and rank them by the densities of held-out rooms."""
     data = session.data
-    base = fit(data, session.correction, session.effects, initial=session.fit, known=session.fit.derivatives,
-               threads=session.nj)
+    base = fit(data, session.correction, session.effects, initial=session.fit, known=session.fit.derivatives)
     before = _densities(data, base)
     known = {*session.effects, *data.given_kinds, *eliminated}
     lacking: list[type[Effect]] = [effect for effect in CATALOGUE.values()

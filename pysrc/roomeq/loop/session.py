@@ -67,7 +67,7 @@ def fit_base_model(data: Data, *, seed: int, nj: int) -> Session:
     """Fit the base model, render it, and fit it again with the rendering correction."""
     data = clear_rendered_changes(data, data.given_kinds)
     correction = np.zeros((len(data.rows), N_FEATURES))
-    return refit_rendered(data, fit(data, correction, (), threads=nj), seed=seed, nj=nj)
+    return refit_rendered(data, fit(data, correction, ()), seed=seed, nj=nj)
 
 
 def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int,
@@ -80,9 +80,9 @@ def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int,
     rendered = render_model(data, fitted, seed=seed, nj=nj)
     data = measure_rendered_changes(rendered, [effect for effect in fitted.effects if effect not in known_changes])
     whole, correction = rendered_difference(replace(rendered, data=data))
-    first = fit(data, correction, fitted.effects, initial=fitted, threads=nj)
+    first = fit(data, correction, fitted.effects, initial=fitted)
     of_surfaces = first.derivatives._replace(by_effect={})  # which are smoother than those of effects
-    final = fit(data, correction, fitted.effects, initial=first, known=of_surfaces, threads=nj)
+    final = fit(data, correction, fitted.effects, initial=first, known=of_surfaces)
     return Session(data, fitted.effects, correction, whole, final, seed, nj)
 
 
@@ -92,7 +92,7 @@ def refit(session: Session, initial: Fit, effects: Sequence[type[Effect]] | None
     It has the `effects`, by default those of `initial`. Nothing is rendered.
     """
     fitted = fit(session.data, session.correction, in_order(initial.effects if effects is None else effects),
-                 initial=initial, known=session.fit.derivatives, threads=session.nj)
+                 initial=initial, known=session.fit.derivatives)
     return replace(session, effects=fitted.effects, fit=fitted)
 
 

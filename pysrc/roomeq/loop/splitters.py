@@ -389,7 +389,7 @@ def transfer_shared(session: Session, index: ParameterIndex) -> SharedPrior:
 
 
 def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correction: FloatArray, known: list[IntArray],
-                usable: Usable = EVERY_FEATURE, threads: int = 1) -> tuple[FloatArray, list[FloatArray]]:
+                usable: Usable = EVERY_FEATURE) -> tuple[FloatArray, list[FloatArray]]:
     """Estimate the parameters of rooms that a fit has not seen, from some of their RIRs; gains as in `calibrate`.
 
     Parameters
@@ -404,8 +404,6 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
     known : list of ndarray of int
         Of each room: the RIRs that may be used.
     usable : Usable, optional
-    threads : int
-        Number of threads; the result does not depend on it.
 
     Returns
     -------
@@ -424,7 +422,7 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
     start_from_measured(index, mean, local, [effect.measured_vectors(usable_data) for effect in index.effects])
     for features in usable.stages:
         mean, local = _converged(index, fitted, prior, precision, correction, mean, local,
-                                 _visible(index, known, features), usable.of_surfaces, threads)
+                                 _visible(index, known, features), usable.of_surfaces)
     levels = _levels_for_gains(index, known, visible)
     if levels.any():
         estimate_gains(index, correction, mean, local, levels)
@@ -433,19 +431,18 @@ def solve_rooms(index: ParameterIndex, fitted: Fit, prior: SharedPrior, correcti
 
 def _converged(index: ParameterIndex, fitted: Fit, prior: SharedPrior, precision: list[FloatArray],
                correction: FloatArray, mean: FloatArray, local: list[FloatArray], visible: BoolArray,
-               of_surfaces: BoolArray, threads: int) -> tuple[FloatArray, list[FloatArray]]:
+               of_surfaces: BoolArray) -> tuple[FloatArray, list[FloatArray]]:
     """Return the most probable parameters given the `visible` features, (n_rirs, n_features), as `solve_rooms` does.
 
     Only the features `of_surfaces`, (n_features,), move the surfaces. Nothing is known of the rooms at the start, so
     that it takes more iterations than to continue a fit.
     """
-    linearization = Linearization(index, correction, threads=threads)
+    linearization = Linearization(index, correction)
     for _ in range(_MOST_ITERATIONS):
         predicted, derivatives = linearization.at(mean, local)
         derivatives = derivatives._replace(by_surface=np.where(of_surfaces[:, None], derivatives.by_surface, 0.0))
         residual, valid = index.data.residual(predicted)
-        normal = all_normal_equations(index, residual, valid & visible, derivatives, fitted.sigma, fitted.omega,
-                                      threads)
+        normal = all_normal_equations(index, residual, valid & visible, derivatives, fitted.sigma, fitted.omega)
         cost_at = partial(cost, linearization, fitted.sigma, fitted.omega, precision, prior, visible=visible)
         mean, local, _, fall = take_step(cost_at, normal, precision, mean, local, prior)
         if fall < CONVERGED:
