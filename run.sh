@@ -163,7 +163,7 @@ fi
 
 if at_stage 5 "close the loop: find the effects that the simulation lacks, and simulate with them"; then
   require "$data/rirs.real.train/rirs.jsonl" steps/split_rirs.sh
-  local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms"
+  local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" "$nj"
   if [ -f "$exp/rooms/enough" ]; then
     steps/close_loop.sh --nj "$nj" --max-effects "$max_effects" --seed "$seed" \
       "$data/rirs.real.train" "$data/rirs.real.dev" "$exp/loop"
@@ -174,7 +174,7 @@ fi
 [ "$stop_stage" -ge 6 ] || exit 0
 kinds=(real sim sim.EQ) # of RIRs; $data may hold others of an earlier run
 [ "$dry_run" = true ] || [ ! -d "$data/rirs.real.train" ] ||
-  local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" >/dev/null
+  local/enough_rooms.py "$data/rirs.real.train" "$exp/rooms" "$nj" >/dev/null
 if [ "$dry_run" = true ] || [ -f "$exp/rooms/enough" ]; then kinds+=(sim.loop); fi
 [ "$free_rooms" = 0 ] || kinds+=(sim.free)
 kind_list=$(IFS=, && echo "${kinds[*]}")

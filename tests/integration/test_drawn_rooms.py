@@ -280,4 +280,4 @@ def test_the_step_splits_the_work_and_gives_the_same_bytes(types, four, tmp_path
                           capture_output=True)
     assert done.returncode == 0, done.stderr
     assert hashes(tmp_path / "rirs") == hashes(four)
-    assert (tmp_path / "log" / "rirs" / "simulate.2.log").is_file()
+    assert (tmp_path / "log" / "rirs" / "simulate.log").is_file()

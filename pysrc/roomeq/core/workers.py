@@ -24,6 +24,9 @@ PARENT_CHECKED_S = 0.5
 PER_CORE = 4
 """Largest number of processes per core."""
 
+LOG_VARIABLE = "ROOMEQ_WORKER_LOG"
+"""Environment variable with a file that takes what workers say, of single items as a rule."""
+
 _RUNS = 16  # of items that a process works on one after the other: to hand over each by itself takes time
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
@@ -190,6 +193,8 @@ def _start_worker(work: Callable[[Any], Any], items: list[Any], n_workers: int) 
     global _task
     _task = work, items
     silence()
+    if LOG_VARIABLE in os.environ:
+        os.dup2(os.open(os.environ[LOG_VARIABLE], os.O_WRONLY | os.O_APPEND | os.O_CREAT), 2)
     threadpool_limits(1)
     os.environ.setdefault("NUMBA_NUM_THREADS", str(max(1, len(os.sched_getaffinity(0)) // n_workers)))
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # which a job in the background ignores

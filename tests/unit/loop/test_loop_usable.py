@@ -37,7 +37,7 @@ def apart(places, n):
 
 def enough_rooms(where, out):
     """Run the recipe's check; return whether the rooms are enough, and what it prints."""
-    done = subprocess.run([sys.executable, str(ENOUGH_ROOMS), str(where), str(out)], capture_output=True, text=True,
+    done = subprocess.run([sys.executable, str(ENOUGH_ROOMS), str(where), str(out), "2"], capture_output=True, text=True,
                           check=True)
     return (out / "enough").exists(), done.stdout + done.stderr
 
@@ -193,11 +193,11 @@ def test_kept_answer_is_used_until_a_recording_changes(tmp_path, monkeypatch, ca
     where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **apart(KNOWN, n)) for n in range(6)])
     out = tmp_path / "rooms"
     for refused in (False, True):
-        assert check_rooms([str(where), str(out)]) == 0 and (out / "enough").exists() is not refused
+        assert check_rooms([str(where), str(out), "1"]) == 0 and (out / "enough").exists() is not refused
         said = capsys.readouterr().out
         with monkeypatch.context() as patch:
             patch.setattr("roomeq.loop.usable.usable_rirs", None)
-            assert check_rooms([str(where), str(out)]) == 0
+            assert check_rooms([str(where), str(out), "1"]) == 0
         assert capsys.readouterr().out == said and said.startswith("no closed loop: ") is refused
         write_wav(where / read_rirs(where)[0]["wav"], coloured_rir([*b"r5"]))  # a copy of another room's recording
     assert "is the recording of RIR" in said
@@ -208,7 +208,7 @@ def test_kept_answer_is_made_again_when_a_mesh_is_corrected(tmp_path, capsys):
     where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **apart(placed, n)) for n in range(6)])
     for top, enough in ((" 1.1\n", False), (" 3\n", True)):
         write_text(tmp_path / "room.obj", BOX.replace(" 3\n", top))
-        assert check_rooms([str(where), str(tmp_path / "rooms")]) == 0, capsys.readouterr().err
+        assert check_rooms([str(where), str(tmp_path / "rooms"), "1"]) == 0, capsys.readouterr().err
         assert (tmp_path / "rooms/enough").exists() is enough, capsys.readouterr().out
 
 
@@ -227,7 +227,7 @@ def test_room_whose_rows_state_different_dimensions_is_left_out(tmp_path, third,
 def test_recording_that_cannot_be_read_ends_the_check(tmp_path, capsys):
     where = directory(tmp_path / "rirs", [row(f"r{n}", f"room{n // 2}", **apart(KNOWN, n)) for n in range(6)])
     (where / read_rirs(where)[0]["wav"]).write_text("no audio")
-    assert check_rooms([str(where), str(tmp_path / "rooms")]) == 1
+    assert check_rooms([str(where), str(tmp_path / "rooms"), "1"]) == 1
     assert read_rirs(where)[0]["wav"] in capsys.readouterr().err and not (tmp_path / "rooms").exists()
 
 
