@@ -37,8 +37,7 @@ def apart(places, n):
 
 def enough_rooms(where, out):
     """Run the recipe's check; return whether the rooms are enough, and what it prints."""
-    done = subprocess.run([sys.executable, str(ENOUGH_ROOMS), str(where), str(out), "2"], capture_output=True, text=True,
-                          check=True)
+    done = subprocess.run([sys.executable, ENOUGH_ROOMS, where, out, "2"], capture_output=True, text=True, check=True)
     return (out / "enough").exists(), done.stdout + done.stderr
 
 
