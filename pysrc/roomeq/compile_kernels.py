@@ -22,7 +22,7 @@ from roomeq.loop.likelihood import Sparse, add_block, append_nonzero, whitened_p
 from roomeq.loop.predict import decay_times, levels_until
 from roomeq.loop.ray_energy import add_gain, add_up
 from roomeq.loop.tables import ANGLES, collect, turned
-from roomeq.loop.unknown_geometry import N_SHARED, add_arrivals
+from roomeq.loop.unknown_geometry import N_SHARED, log_likelihoods
 from roomeq.sim.mesh import MeshRoom
 from roomeq.sim.response import simulate_responses, trace_every_ray, trace_source
 from roomeq.sim.scene import Material, Scene, Shoebox
@@ -94,8 +94,8 @@ def predict() -> None:
     points = np.ones((1, 3))
     log_likelihood(np.ones(10), points, np.ones(1), points, points, np.zeros((1, 3), int), np.ones((1, 1)))
     one = np.zeros(1, int)
-    add_arrivals(np.ones((1, N_SHARED)), one, np.ones((1, 10)), points, points, one, one, np.ones(1),
-                 np.zeros((1, 3), int), np.ones((1, 1)), np.ones(1), np.ones((1, 1)))
+    log_likelihoods(np.ones((1, N_SHARED)), one, np.ones((1, 10)), points, points, one, one, np.ones(1),
+                    np.zeros((1, 3), int), np.ones((1, 1)), np.ones(1))
     cap_gain(1.0, 0.1, 0.5)
     high_passed(np.zeros(8), 0.1)
 

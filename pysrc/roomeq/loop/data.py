@@ -100,8 +100,6 @@ class Data:
         Estimated geometry, which places and rows have where it is used.
     left_out : list of LeftOut
         RIRs of the directories that are not in `rows`, by reason (`roomeq.loop.usable`).
-    seed : int
-        Of rays and path samples.
     facings : tuple of FacingEstimate
         What was decided of sources whose rows do not state where they face.
     axis : ndarray of int, shape (n_rirs,)
@@ -134,7 +132,6 @@ class Data:
     documented: list[RirRow]
     estimates: list[Estimate]
     left_out: list[LeftOut]
-    seed: int
     facings: tuple[FacingEstimate, ...] = ()
     axis: IntArray = field(default_factory=lambda: np.empty(0, dtype=int))
 
@@ -260,7 +257,7 @@ def load_data(usable: UsableRirs, *, scattering: float, seed: int, model: Model 
         air_per_m=np.array([air.attenuation_per_m for air in airs]),
         speed_m_s=np.array([air.speed_m_s for air in airs]), distance_m=distance_m, rendered_changes={},
         given=[base.for_row(row, seed) for row in rows],
-        documented=[rir.row for rir in usable.rirs], estimates=estimates, left_out=usable.left_out, seed=seed)
+        documented=[rir.row for rir in usable.rirs], estimates=estimates, left_out=usable.left_out)
 
 
 def _merge_sources(recordings: list[_Recording]) -> list[_Recording]:

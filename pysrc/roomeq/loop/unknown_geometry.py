@@ -186,20 +186,18 @@ class UnknownGeometry:
         return np.where(possible, -0.5 * np.sum(deviation ** 2, axis=1), -np.inf)
 
     def _log_likelihood(self, values: FloatArray, rirs: IntArray) -> FloatArray:
-        result = np.empty((len(values), len(rirs)))
         (sources_m, mics_m), (source_height, mic_height) = (of_devices.values() for of_devices in (self._positions_m,
                                                                                                    self._height_of))
         of_speed = np.array(self._speed_m_s) / self.unknowns[SPEED].mean
-        add_arrivals(values, rirs, self._ratio, sources_m, mics_m, source_height, mic_height, of_speed,
-                     early_images()[0], heard_probability(values[:, _HEARD]), self._direct_s, result)
-        return result
+        return log_likelihoods(values, rirs, self._ratio, sources_m, mics_m, source_height, mic_height, of_speed,
+                               early_images()[0], heard_probability(values[:, _HEARD]), self._direct_s)
 
 
 @compiled
-def add_arrivals(values: FloatArray, rirs: IntArray, ratio: FloatArray, sources_m: FloatArray, mics_m: FloatArray,
-                 source_height: IntArray, mic_height: IntArray, of_speed: FloatArray, cells: IntArray,
-                 probability: FloatArray, direct_s: FloatArray, result: FloatArray) -> None:
-    """Compute the log-likelihood of the arrivals of some RIRs for each of some geometries, (n_points, n_rirs).
+def log_likelihoods(values: FloatArray, rirs: IntArray, ratio: FloatArray, sources_m: FloatArray, mics_m: FloatArray,
+                    source_height: IntArray, mic_height: IntArray, of_speed: FloatArray, cells: IntArray,
+                    probability: FloatArray, direct_s: FloatArray) -> FloatArray:
+    """Return the log-likelihood of the arrivals of some RIRs for each of some geometries.
 
     Parameters
     ----------
@@ -215,8 +213,12 @@ def add_arrivals(values: FloatArray, rirs: IntArray, ratio: FloatArray, sources_
         As for `roomeq.loop.arrivals.log_likelihood`.
     direct_s : ndarray, shape (n,)
         Time of the direct sound; NaN where sample 0 is not the emission.
-    result : ndarray, shape (n_points, n_rirs)
+
+    Returns
+    -------
+    ndarray, shape (n_points, n_rirs)
     """
+    result = np.empty((len(values), len(rirs)))
     dims_m, source_m, mic_m = values[:, :3].copy(), np.empty((len(values), 3)), np.empty((len(values), 3))
     for column in range(len(rirs)):
         n = rirs[column]
@@ -232,6 +234,7 @@ def add_arrivals(values: FloatArray, rirs: IntArray, ratio: FloatArray, sources_
                 distance_m = np.sqrt(np.sum((source_m[point] - mic_m[point]) ** 2))
                 late_ms = 1e3 * (direct_s[n] - distance_m / speed_m_s[point]) - values[point, LATENCY]
                 result[point, column] += np.log(np.exp(-0.5 * (late_ms / DIRECT_SD_MS) ** 2) + DIRECT_OUTLIERS)
+    return result
 
 
 def _shared_unknowns(dims_m: Sequence[float], speed_m_s: float, timed: bool) -> list[Unknown]:
