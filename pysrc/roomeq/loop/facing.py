@@ -145,7 +145,7 @@ def _best_axes(groups: list[list[int]], towards: FloatArray, log_likelihood: Flo
 
 
 def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
-                    residual: FloatArray, spread: FloatArray, nj: int) -> tuple[FloatArray, FloatArray]:
+                    residual: FloatArray, spread: FloatArray, nj: int = 1) -> tuple[FloatArray, FloatArray]:
     """Return the log likelihood of the direct sound of each RIR, with some directivities and without any.
 
     Reflections leave in all directions, so that their gain is the mean over the sphere. The response of the source
