@@ -19,13 +19,15 @@ check_words "$log_dir" "$@"
 status=0
 up_to_date "$verb" "$@" || status=$?
 [ "$status" -eq 3 ] || exit "$status" # 3: the output is to be made; 0: it is up to date
+cores=$(env -u OMP_NUM_THREADS nproc) # as many jobs as that at once, as in utils/local.sh
+workers=$((nj < cores ? nj : cores))
 # shellcheck disable=SC2154 # cmd.sh sets it
-if [ "$cmd" = utils/local.sh ] && [ "$nj" -gt 1 ]; then
+if [ "$cmd" = utils/local.sh ] && [ "$workers" -gt 1 ]; then
   export ROOMEQ_WORKER_LOG=$log_dir/$verb.log
   { mkdir -p -- "$log_dir" && : >"$ROOMEQ_WORKER_LOG"; } 2>/dev/null || {
     echo "${0##*/}: log $ROOMEQ_WORKER_LOG cannot be written: is the disk full or read-only?" >&2 && exit 1
   }
-  roomeq "$verb" --nj "$nj" "$@"
+  roomeq "$verb" --nj "$workers" "$@"
   exit
 fi
 run_jobs "$log_dir" JOB=1:"$nj" "$log_dir/$verb.JOB.log" roomeq "$verb" --part "JOB/$nj" "$@"

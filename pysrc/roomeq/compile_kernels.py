@@ -55,7 +55,8 @@ def simulate() -> None:
             simulate_responses(_SCENE, _SOURCE_M, mics_m, num_rays=_NUM_RAYS, target_t60_s=target_t60_s)
     # paths of many reflections
     small = Scene(Shoebox((1.0, 1.0, 1.0)), [Material("hard", (0.03,) * 8, (0.2,) * 8)] * 6)
-    simulate_responses(small, (0.2, 0.2, 0.2), (0.8, 0.8, 0.8), num_rays=_NUM_RAYS, target_t60_s=0.9)
+    for mics_m in (0.4 * _MICS_M[:1], 0.4 * _MICS_M):
+        simulate_responses(small, (0.2, 0.2, 0.2), mics_m, num_rays=_NUM_RAYS, target_t60_s=0.9)
     # a source with many microphones is traced once, and plays roulette for each absorption
     every_ray = trace_every_ray(_SCENE, _SOURCE_M, num_rays=_NUM_RAYS, max_length_s=0.1, rng=np.random.default_rng(0))
     every_ray.play_roulette(_SCENE.absorption, 0.1)

@@ -126,21 +126,21 @@ def measure_changes(vectors: dict[str, ArrayLike] = VECTORS) -> dict[str, Change
     of_seeds = []
     for seed in SEEDS:
         with tempfile.TemporaryDirectory() as directory:
-            of_seeds.append(_measure_changes(make_data(Path(directory), seed), vectors))
+            of_seeds.append(_measure_changes(make_data(Path(directory), seed), seed, vectors))
     return {name: Change(*(np.concatenate([getattr(changes[name], part) for changes in of_seeds])
                            for part in ("predicted", "rendered"))) for name in vectors}
 
 
-def _measure_changes(data: Data, vectors: dict[str, ArrayLike]) -> dict[str, Change]:
+def _measure_changes(data: Data, seed: int, vectors: dict[str, ArrayLike]) -> dict[str, Change]:
     absorption = np.tile([ABSORPTION, np.multiply(ABSORPTION, FLOOR_FACTOR)], (len(data.room_names), 1, 1))
     rows = np.arange(len(data.rows))
 
     def render(effects: list[Effect]) -> tuple[list[RawRir], FloatArray]:
-        raw_rirs, _ = render_rows(data, row_models(data, absorption, [effects] * len(rows)), seed=data.seed)
+        raw_rirs, _ = render_rows(data, row_models(data, absorption, [effects] * len(rows)), seed=seed)
         return raw_rirs, measure(raw_rirs, effects)
 
     def measure(raw_rirs: list[RawRir], effects: list[Effect]) -> FloatArray:
-        measured = [measure_row(data, n, raw_rirs[n], effects, data.seed) for n in rows]
+        measured = [measure_row(data, n, raw_rirs[n], effects, seed) for n in rows]
         return np.array([np.where(features.valid, features.values, np.nan) for features in measured])
 
     def predict_with(effects: list[Effect]) -> FloatArray:
