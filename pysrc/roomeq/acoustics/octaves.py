@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len, rfft
 
 from roomeq.core.arrays import Array, FloatArray, IntArray
@@ -19,7 +20,14 @@ THIRDS_HZ = SPECTRUM_HZ[3:]
 _PREFERRED = (1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0)  # ISO 266
 THIRD_WIDTH_HZ = np.array(THIRDS_HZ) * (10.0 ** 0.05 - 10.0 ** -0.05)
 """Width of the third octaves [Hz], shape (22,)."""
-OCTAVE_OF_THIRD: IntArray = np.argmin(np.abs(np.log(np.array(THIRDS_HZ)[:, None] / np.array(EXACT_BANDS_HZ))), axis=1)
+
+
+def nearest_octave(frequencies_hz: ArrayLike) -> IntArray:
+    """Return the number of the octave about each frequency, shape (n,)."""
+    return np.argmin(np.abs(np.log(np.asarray(frequencies_hz)[:, None] / np.array(EXACT_BANDS_HZ))), axis=1)
+
+
+OCTAVE_OF_THIRD = nearest_octave(THIRDS_HZ)
 """Number of the octave of each third octave, shape (22,)."""
 FILTER_ORDER = 4  # of the Butterworth prototype; IEC 61260-1 class 1 needs 3, strong neighbouring bands ask for more
 LEAD_S = 0.05

@@ -112,13 +112,12 @@ def for_chunks(n_rays: int, work: Callable[[int, int, int], Result]) -> list[Res
     return on_threads(work, [(chunk, int(edges[chunk]), int(edges[chunk + 1])) for chunk in range(N_CHUNKS)])
 
 
-def on_threads(work: Callable[..., Result], jobs: Sequence[tuple[Any, ...]], threads: int | None = None
-               ) -> list[Result]:
+def on_threads(work: Callable[..., Result], jobs: Sequence[tuple[Any, ...]]) -> list[Result]:
     """Return ``[work(*job) for job in jobs]``, computed on threads: for work that releases the interpreter lock.
 
-    There are `threads` at most, by default `n_threads`, and one for each usable core.
+    There are `n_threads` at most, and one for each usable core.
     """
-    threads = min(threads or n_threads(), len(jobs), len(os.sched_getaffinity(0)))
+    threads = min(n_threads(), len(jobs), len(os.sched_getaffinity(0)))
     if threads <= 1:
         return [work(*job) for job in jobs]
     with ThreadPoolExecutor(threads) as pool:

@@ -194,7 +194,8 @@ def _start_worker(work: Callable[[Any], Any], items: list[Any], n_workers: int) 
     _task = work, items
     silence()
     if LOG_VARIABLE in os.environ:
-        os.dup2(os.open(os.environ[LOG_VARIABLE], os.O_WRONLY | os.O_APPEND | os.O_CREAT), 2)
+        with open(os.environ[LOG_VARIABLE], "a", encoding="utf-8") as log:
+            os.dup2(log.fileno(), 2)
     threadpool_limits(1)
     os.environ.setdefault("NUMBA_NUM_THREADS", str(max(1, len(os.sched_getaffinity(0)) // n_workers)))
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # which a job in the background ignores

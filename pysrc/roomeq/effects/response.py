@@ -8,9 +8,8 @@ from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len, rfft
 
 from roomeq.acoustics.minimum_phase import minimum_phase
-from roomeq.acoustics.octaves import SPECTRUM_HZ
+from roomeq.acoustics.octaves import SPECTRUM_HZ, nearest_octave
 from roomeq.core.arrays import FloatArray, IntArray
-from roomeq.core.constants import EXACT_BANDS_HZ
 from roomeq.effects.base import Effect, Rendering, correlation_of_bands
 from roomeq.effects.prediction import PredictedRirs, PredictionState
 
@@ -37,7 +36,7 @@ class Response(Effect):
     REFLECTIONS = False
     STARTS = ((0.0,) * len(RESPONSE_HZ),)
     SPREAD = (_SPREAD_DB,) * len(RESPONSE_HZ)
-    BANDS = tuple(np.abs(np.log(np.divide.outer(RESPONSE_HZ, EXACT_BANDS_HZ))).argmin(axis=1).tolist())
+    BANDS = tuple(nearest_octave(RESPONSE_HZ).tolist())
 
     @classmethod
     def prior_covariance(cls) -> FloatArray:

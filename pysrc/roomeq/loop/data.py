@@ -12,6 +12,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from scipy.cluster.hierarchy import fcluster, linkage
 
+from roomeq.acoustics.jnd import DECAY_JND
 from roomeq.core.arrays import BoolArray, FloatArray, IntArray
 from roomeq.core.constants import BANDS_HZ, FS_HZ
 from roomeq.core.groups import numbers_by
@@ -25,7 +26,7 @@ from roomeq.loop.facing_estimate import FacingEstimate
 from roomeq.loop.features import METRIC, Features, feature_slice, measure_features
 from roomeq.loop.geometry import Estimate, complete_geometry
 from roomeq.loop.measurability import comparable_levels, limit_to_excitation
-from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, decay_range_s, draw_path_samples
+from roomeq.loop.path_samples import UNKNOWN_DECAYS_S, draw_path_samples
 from roomeq.loop.tables import ANGLES, Table, collect, frame_edges_s, level_surfaces, turned
 from roomeq.loop.traces import StoredSample, StoredTrace, TraceFile
 from roomeq.loop.usable import LeftOut, UsableRirs
@@ -252,8 +253,7 @@ def load_data(usable: UsableRirs, *, scattering: float, seed: int, model: Model 
     return Data(
         rows=rows, places=places, **measured, comparable=comparable_levels(rows, features, distance_m), room=room,
         chain=chain, place_number=place_number, room_names=room_names, traced=traced, path_samples=path_samples,
-        tables=tables,
-        surface_per_m=np.array([_surface_per_m(place.room) for place in places]),
+        tables=tables, surface_per_m=np.array([_surface_per_m(place.room) for place in places]),
         air_per_m=np.array([air.attenuation_per_m for air in airs]),
         speed_m_s=np.array([air.speed_m_s for air in airs]), distance_m=distance_m, rendered_changes={},
         given=[base.for_row(row, seed) for row in rows],
@@ -392,9 +392,10 @@ def _trace_sources(rows: list[RirRow], places: list[Place], features: list[Featu
 
 
 def _decays_s(features: list[Features]) -> tuple[float, float] | None:
-    """Return the range of the decay times of some RIRs (`decay_range_s`)."""
-    return decay_range_s(np.array([of_rir.values for of_rir in features]),
-                         np.array([of_rir.valid for of_rir in features]), LENGTHS_S[0])
+    """Return the shortest and the longest valid T20 or T30 of some RIRs, the least length among them [s], or None."""
+    least_s, at = LENGTHS_S[0], np.isin(METRIC, ["t20", "t30"])
+    times_s = np.exp(DECAY_JND * np.concatenate([of_rir.values[at & of_rir.valid] for of_rir in features]))
+    return (float(times_s.min(initial=least_s)), float(times_s.max(initial=least_s))) if len(times_s) else None
 
 
 def _traced_length_s(decay_s: float) -> float:

@@ -25,7 +25,14 @@ from roomeq.acoustics.excitation import NO_END_HZ, excited_from_hz, excited_to_h
 from roomeq.acoustics.fade import length_before_fade, length_before_zeros
 from roomeq.acoustics.iso3382 import DIRECT_S, EARLY_S, all_metrics
 from roomeq.acoustics.jnd import C50_JND_DB, DECAY_JND, DRR_JND_DB, LEVEL_JND_DB
-from roomeq.acoustics.octaves import OCTAVE_OF_THIRD, OCTAVE_WIDTH_HZ, SPECTRUM_HZ, THIRD_WIDTH_HZ, THIRDS_HZ
+from roomeq.acoustics.octaves import (
+    OCTAVE_OF_THIRD,
+    OCTAVE_WIDTH_HZ,
+    SPECTRUM_HZ,
+    THIRD_WIDTH_HZ,
+    THIRDS_HZ,
+    nearest_octave,
+)
 from roomeq.core.arrays import Array, BoolArray, FloatArray
 from roomeq.core.constants import BANDS_HZ, EXACT_BANDS_HZ, FS_HZ
 from roomeq.effects.noise_floor import NOISE_S, QUIET_DB, SHARE_OF_THIRD
@@ -57,8 +64,7 @@ METRIC = np.array([metric for metric, bands in _BANDS_OF.items() for _ in bands]
 """Metric of each feature, shape (n_features,)."""
 BAND_HZ = np.array([band_hz for bands in _BANDS_OF.values() for band_hz in bands])
 """Mid-band frequency of each feature [Hz], 0 for the whole band, shape (n_features,)."""
-BAND_OF_FEATURE = np.where(BAND_HZ > 0, np.argmin(np.abs(np.log(np.maximum(BAND_HZ, 1.0)[:, None]
-                                                               / np.array(EXACT_BANDS_HZ))), axis=1), -1)
+BAND_OF_FEATURE = np.where(BAND_HZ > 0, nearest_octave(np.maximum(BAND_HZ, 1.0)), -1)
 """Number of the octave band of each feature, -1 for the whole band, shape (n_features,)."""
 N_FEATURES = len(METRIC)
 _WIDTH = np.where(np.isin(METRIC, ["direct", "spectrum", "floor"]), 1.0 / 3.0, 1.0)  # of each feature's band [octaves]

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from roomeq.core.arrays import BoolArray, FloatArray
-from roomeq.loop.features import JND, feature_slice
+from roomeq.core.arrays import FloatArray
 from roomeq.sim.defaults import ISM_ORDER
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.path_sample import PathSample, sample_paths
@@ -23,16 +22,6 @@ _DECAY_FACTORS = (0.5, 2.0)
 """Range of decay times for which paths are drawn, relative to the shortest and the longest that were measured."""
 
 
-def decay_range_s(values: FloatArray, valid: BoolArray, least_s: float) -> tuple[float, float] | None:
-    """Return the shortest and the longest valid T20 or T30 of some RIRs [s], `least_s` among them, None if none is.
-
-    Features and their validity have the shape (n_rirs, n_features).
-    """
-    times_s = np.concatenate([np.exp(values[:, at][valid[:, at]] * JND[metric])
-                              for metric in ("t20", "t30") for at in [feature_slice(metric)]])
-    return (float(times_s.min(initial=least_s)), float(times_s.max(initial=least_s))) if len(times_s) else None
-
-
 def draw_path_samples(traced: TracedSource, mics_m: FloatArray, decays_s: tuple[float, float],
                       rngs: Sequence[np.random.Generator]) -> list[PathSample]:
     """Draw the samples of a traced source.
@@ -43,7 +32,7 @@ def draw_path_samples(traced: TracedSource, mics_m: FloatArray, decays_s: tuple[
         With a single trace.
     mics_m : ndarray, shape (n_mics, 3)
     decays_s : tuple of two floats
-        From `decay_range_s`.
+        Shortest and longest of the recordings [s].
     rngs : sequence of numpy.random.Generator
         One per microphone.
     """

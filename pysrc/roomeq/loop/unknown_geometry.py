@@ -92,9 +92,10 @@ class UnknownGeometry:
         self._ratio = np.array([of_rir.ratio for of_rir in arrivals])
         self._direct_s = np.array([of_rir.direct_s if is_known else np.nan
                                    for of_rir, is_known in zip(arrivals, timed, strict=True)])
-        self._speed_m_s = [declared_speed_m_s(row) for row in rows]
+        speed_m_s = np.array([declared_speed_m_s(row) for row in rows])
+        self._of_speed = speed_m_s / np.mean(speed_m_s)
         dims_m = [float(size_m) for size_m in cast(list[float], rows[0]["room_dims_m"])]
-        self.unknowns = _shared_unknowns(dims_m, float(np.mean(self._speed_m_s)), any(timed))
+        self.unknowns = _shared_unknowns(dims_m, float(np.mean(speed_m_s)), any(timed))
         positions: dict[str, list] = {key: [row.get(key) for row in rows] for key in DEVICES}
         self._positions_m = {key: np.array(of_rirs, dtype=float) for key, of_rirs in positions.items()}
         self._height_of = {key: np.zeros(len(rows), dtype=int) for key in DEVICES}
@@ -186,10 +187,9 @@ class UnknownGeometry:
         return np.where(possible, -0.5 * np.sum(deviation ** 2, axis=1), -np.inf)
 
     def _log_likelihood(self, values: FloatArray, rirs: IntArray) -> FloatArray:
-        (sources_m, mics_m), (source_height, mic_height) = (of_devices.values() for of_devices in (self._positions_m,
-                                                                                                   self._height_of))
-        of_speed = np.array(self._speed_m_s) / self.unknowns[SPEED].mean
-        return log_likelihoods(values, rirs, self._ratio, sources_m, mics_m, source_height, mic_height, of_speed,
+        sources_m, mics_m = (self._positions_m[key] for key in DEVICES)
+        source_height, mic_height = (self._height_of[key] for key in DEVICES)
+        return log_likelihoods(values, rirs, self._ratio, sources_m, mics_m, source_height, mic_height, self._of_speed,
                                early_images()[0], heard_probability(values[:, _HEARD]), self._direct_s)
 
 
