@@ -44,7 +44,6 @@ from roomeq.sim.paths import (
 from roomeq.sim.ray_limits import LARGEST_GAIN, ray_limits
 from roomeq.sim.room import Room
 from roomeq.sim.scene import Scene
-from roomeq.sim.tallies import Tallies, count_type, tally_reflections
 from roomeq.sim.trace import Paths
 
 if TYPE_CHECKING:
@@ -276,7 +275,6 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
     result = [_empty_sample(traced.paths, n_frames, len(absorption), traced.trace_of_band, frame_m, limited)
               for _ in mics_m]
     for trace, paths in enumerate(traced.paths):
-        tallies = paths.tallies or tally_reflections(paths)
         references = _references(absorption[:, np.equal(traced.trace_of_band, trace)])
         limits = ray_limits(paths, eight_bands((1.0 - references).T[paths.face_surface], 0),
                             _NO_EMITTED, n_frames=n_frames, frames_per_m=float(np.float32(1.0 / frame_m)),
@@ -285,7 +283,7 @@ def sample_paths(traced: "TracedSource", mics_m: Array, absorption: FloatArray, 
         limited.decay[trace] = _mean_decay(share, (1.0 - references).T)
         for start in range(0, len(mics_m), MICS_PER_PASS):
             batch = slice(start, start + MICS_PER_PASS)
-            _sample_trace(paths, tallies, traced.scene, mics_m[batch], references, limits.largest, seeds[batch],
+            _sample_trace(paths, traced.scene, mics_m[batch], references, limits.largest, seeds[batch],
                           Spheres(spheres.radius_m[batch], spheres.volume_m3[batch]), ism_order, n_frames,
                           None if visible is None or not len(visible[trace]) else visible[trace][leaders[batch]],
                           [(sample.weight[trace], sample.reflection_counts[trace], sample.last_reflection[trace],
@@ -326,13 +324,13 @@ def _empty_sample(traces: Sequence[Paths], n_frames: int, n_surfaces: int, trace
                   frame_m: float, limited: LimitedGain) -> PathSample:
     """Allocate the sample of one microphone; nothing is filled in yet."""
     shape = (len(traces), n_frames, PATHS_PER_FRAME)
-    counts_type = count_type(np.array([paths.counts.max() for paths in traces]))
+    counts_type = np.uint8 if max(paths.counts.max() for paths in traces) < 256 else np.uint16
     return PathSample(np.empty(shape, np.float32), np.empty((*shape, n_surfaces), counts_type),
                       np.empty(shape, np.uint32), np.empty(shape, np.bool_), np.empty(shape, np.uint32), trace_of_band,
                       frame_m, limited)
 
 
-def _sample_trace(paths: Paths, tallies: Tallies, scene: Scene, mics_m: FloatArray, references: FloatArray,
+def _sample_trace(paths: Paths, scene: Scene, mics_m: FloatArray, references: FloatArray,
                   limits: Array, seeds: Array, spheres: Spheres, ism_order: int, n_frames: int,
                   visible: Array | None, results: list[tuple[Array, Array, Array, Array, Array]]) -> None:
     """Sample one trace into the (weight, counts, last, specular, rays) of each microphone."""
@@ -352,27 +350,54 @@ def _sample_trace(paths: Paths, tallies: Tallies, scene: Scene, mics_m: FloatArr
                                                         of_ray[chunk]))
     power = (1.0 - references[..., None]) ** np.arange(1.0 + paths.counts.max())
     scale = 1.0 / (4.0 * np.pi * n_rays)
-    on_threads(lambda m, arrays: _unpack(sums[:, m], kept[:, m], of_ray[:, m], tallies, power, scale, *arrays),
-               list(enumerate(results)))
+    increments = _increments(paths.face_surface, len(paths.scattering), 8 * results[0][1].itemsize)
+    on_threads(lambda m, arrays: _unpack(sums[:, m], kept[:, m], of_ray[:, m], paths.first, paths.codes, increments,
+                                         power, scale, *arrays), list(enumerate(results)))
+
+
+def _increments(face_surface: IntArray, n_surfaces: int, n_bits: int) -> Array:
+    """Return what a reflection at each face adds to words of several counts each, one for each surface.
+
+    Parameters
+    ----------
+    face_surface
+        Surface of each face, shape (n_faces,).
+    n_surfaces, n_bits
+        How many counts there are, and how many bits each takes.
+
+    Returns
+    -------
+    ndarray of uint64, shape (n_words, n_faces)
+    """
+    word, place = np.divmod(face_surface, 64 // n_bits)
+    increments = np.zeros((-(-n_surfaces * n_bits // 64), len(face_surface)), np.uint64)
+    increments[word, np.arange(len(face_surface))] = np.uint64(1) << (n_bits * place).astype(np.uint64)
+    return increments
 
 
 @compiled
-def _unpack(sums: Array, kept: Array, of_ray: Array, tallies: Tallies, power: Array, scale: Number, weight: Array,
-            counts: Array, last: Array, specular: Array, rays: Array) -> None:
+def _unpack(sums: Array, kept: Array, of_ray: Array, first: Array, codes: Array, increments: Array, power: Array,
+            scale: Number, weight: Array, counts: Array, last: Array, specular: Array, rays: Array) -> None:
     """Join the strata of one microphone: the weight is 1 over the sum of the densities at both references."""
-    n_frames, n_surfaces = len(weight), power.shape[1]
+    n_frames, n_places, n_surfaces = counts.shape
+    n_bits = np.uint64(8 * counts.itemsize)
+    per_word, mask = np.int64(np.uint64(64) // n_bits), (np.uint64(1) << n_bits) - np.uint64(1)
     for frame in range(n_frames):
-        for place in range(weight.shape[1]):
+        for place in range(n_places):
             chunk, n = place // kept.shape[2], place % kept.shape[2]
-            at, share0, share1 = kept[chunk, frame, n] & ~_SPECULAR, 1.0, 1.0
-            rays[frame, place] = of_ray[chunk, frame, n]
-            last[frame, place] = at
+            at, ray, share0, share1 = kept[chunk, frame, n] & ~_SPECULAR, of_ray[chunk, frame, n], 1.0, 1.0
+            rays[frame, place], last[frame, place] = ray, at
             specular[frame, place] = kept[chunk, frame, n] & _SPECULAR != 0
-            for surface in range(n_surfaces):
-                hits = (tallies.words[at, tallies.word[surface]] >> tallies.shift[surface]) & tallies.mask
-                counts[frame, place, surface] = hits
-                share0 *= power[0, surface, hits]
-                share1 *= power[1, surface, hits]
+            for word in range(len(increments)):
+                met = np.uint64(0)
+                for reflection in range(np.uint64(first[ray]), np.uint64(at) + np.uint64(1)):  # unsigned is faster
+                    met += increments[word, np.uint64(codes[reflection] >> 2)]
+                for surface in range(word * per_word, min((word + 1) * per_word, n_surfaces)):
+                    hits = met & mask
+                    counts[frame, place, surface] = hits
+                    share0 *= power[0, surface, hits]
+                    share1 *= power[1, surface, hits]
+                    met >>= n_bits
             total0, total1, density = sums[chunk, frame, 0], sums[chunk, frame, 1], 0.0
             if total0 > _EMPTY and share0 >= _NEGLIGIBLE:
                 density += share0 / total0

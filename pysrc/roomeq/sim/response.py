@@ -33,7 +33,6 @@ from roomeq.sim.path_sample import PathSample, sample_paths, sharing
 from roomeq.sim.pilot import PilotRays
 from roomeq.sim.render import MAX_LENGTH_S, MIN_LENGTH_S
 from roomeq.sim.scene import Scene, check_positions, eyring_time_s, needed_area_m2
-from roomeq.sim.tallies import tally_reflections
 from roomeq.sim.target import (
     STRAIGHT,
     TOLERANCE,
@@ -160,10 +159,9 @@ def trace_every_ray(scene: Scene, source_pos_m: ArrayLike, *, num_rays: int = NU
                     rng: np.random.Generator) -> TracedSource:
     """Trace a source as `trace_source` does, but let no ray end early, whatever the absorption.
 
-    `TracedSource.play_roulette` then finds the paths for one absorption after the other, with the same tallies.
+    `TracedSource.play_roulette` then finds the paths for one absorption after the other.
     """
-    traced = _trace_source(scene, source_pos_m, num_rays, max_length_s, rng, None)
-    return replace(traced, paths=tuple(replace(paths, tallies=tally_reflections(paths)) for paths in traced.paths))
+    return _trace_source(scene, source_pos_m, num_rays, max_length_s, rng, None)
 
 
 def _trace_source(scene: Scene, source_pos_m: ArrayLike, num_rays: int, max_length_s: float, rng: np.random.Generator,

@@ -23,7 +23,6 @@ from numpy.typing import ArrayLike
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number, Numbers
 from roomeq.core.jit import compiled, for_chunks, inlined, mix, uniform
 from roomeq.sim.room import Room
-from roomeq.sim.tallies import Tallies
 from roomeq.sim.tree import BEHIND_M, FRONTS, Tree, first_hit, memory
 
 if TYPE_CHECKING:
@@ -77,8 +76,6 @@ class Paths:
         Rays that left the room through a gap between faces.
     seed
         Of the random numbers of the rays.
-    tallies
-        How often each surface was met up to each reflection; None where that has not been counted.
     """
 
     source_pos_m: FloatArray
@@ -95,7 +92,6 @@ class Paths:
     max_length_m: float
     n_leaked: int
     seed: np.uint64
-    tallies: Tallies | None = None
 
 
 class _Traced(NamedTuple):
@@ -226,14 +222,10 @@ def play_roulette(paths: Paths, room: Room, absorption: ArrayLike, max_length_m:
     return replace(paths, codes=codes, counts=counts, max_length_m=max_length_m, n_leaked=sum(n_leaked))
 
 
-def bytes_per_reflection(room: Room, n_reflections: float) -> int:
-    """Return the memory of a reflection that was traced without roulette, with its code after roulette.
-
-    `n_reflections` is the mean number of a ray's, and some have twice as many.
-    """
+def bytes_per_reflection(room: Room) -> int:
+    """Return the memory of a reflection that was traced without roulette, with its code after roulette."""
     faces = room.walls or cast("MeshRoom", room)
-    of_code, of_count = np.dtype(_code_type(len(faces.normals))).itemsize, 1 if 2.0 * n_reflections < 256.0 else 2
-    return 16 + 2 * of_code + 8 * -(-len(room.surfaces) * of_count // 8)
+    return 16 + 2 * np.dtype(_code_type(len(faces.normals))).itemsize
 
 
 def _roulette(room: Room, absorption: ArrayLike, num_rays: int, face_surface: IntArray, late_m: float) -> Roulette:

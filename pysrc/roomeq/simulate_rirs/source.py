@@ -217,7 +217,7 @@ class TracedRoom:
         longest_s = _whole_frames_s(max(lengths_s.values()))
         n_traces = np.unique(self.scattering, axis=1).shape[1]
         per_ray = longest_s * self.air.speed_m_s * self.room.surface_area_m2.sum() / (4.0 * self.room.volume_m3)
-        n_bytes = self.options.num_rays * n_traces * per_ray * bytes_per_reflection(self.room, per_ray)
+        n_bytes = self.options.num_rays * n_traces * per_ray * bytes_per_reflection(self.room)
         if sum(lengths_s.values()) >= _SHARED_FROM * longest_s and n_bytes <= _SHARED_BYTES:
             traced = trace_every_ray(**self._how_to_trace(source_pos_m, longest_s))
             self._shared = _SharedTrace(source_pos_m, longest_s, traced)

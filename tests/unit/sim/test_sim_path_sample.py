@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+import trimesh
 
 from roomeq.core.rng import rng_for
 from roomeq.sim.context import make_render_context, ray_echograms
@@ -128,6 +129,24 @@ def test_no_path_outweighs_all_paths_at_least_absorption(greatest):
     assert np.isfinite(found).all()
     for band in range(8):
         assert 10.0 * np.log10(found[:, band].sum() / everything[:, band].sum()) == pytest.approx(0.0, abs=0.5)
+
+
+@pytest.mark.parametrize("scene", [
+    pytest.param(box_scene(0.02, 0.3), id="long rays"),
+    pytest.param(Scene(make_room(trimesh.creation.box(bounds=[(0.0, 0.0, 0.0), (4.0, 4.0, 3.0)]).triangles,
+                                 [f"triangle{n}" for n in range(12)]),
+                       [Material(f"triangle{n}", 0.1, 0.3) for n in range(12)]), id="many surfaces")])
+def test_reflections_are_counted_along_the_way(scene):
+    one = trace_source(scene, SOURCE, num_rays=1000, max_length_s=3.0, rng=np.random.default_rng(0))
+    (paths,), n_surfaces = one.paths, len(scene.room.surfaces)
+    (sample,) = sample_paths(one, np.array([[3.0, 2.0, 1.2]]), scene.absorption, [rng_for(0, "echoes", "a")],
+                             ism_order=ISM_ORDER, n_frames=3000)
+    assert paths.counts.max() > 255 or n_surfaces > 8
+    for frame, place in [(10, 0), (300, 5), (1200, 15), (2500, 1)]:
+        last, ray = int(sample.last_reflection[0, frame, place]), sample.rays[0, frame, place]
+        met = paths.face_surface[paths.codes[paths.first[ray]:last + 1] >> 2]
+        np.testing.assert_array_equal(sample.reflection_counts[0, frame, place],
+                                      np.bincount(met, minlength=n_surfaces))
 
 
 def test_fully_absorbing_surfaces_silence_their_paths():

@@ -7,7 +7,6 @@ from bench.rooms import l_triangles
 from roomeq.sim.mesh import make_room
 from roomeq.sim.response import trace_every_ray, trace_source
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
-from roomeq.sim.tallies import tally_reflections
 from roomeq.sim.trace import play_roulette, trace
 from roomeq.sim.walls import Walls
 
@@ -63,16 +62,6 @@ def test_reflections_that_no_ray_uses_continue_nowhere():
     for first, count in zip(found.first, found.counts, strict=True):
         used[first:first + count] = True
     assert not used.all() and not found.codes[~used].any()
-
-
-def test_reflections_are_tallied_once_for_all_absorption():
-    scene = Scene(Shoebox((6.0, 4.0, 3.0)), [Material("wall", 0.2, 0.3)] * 6)
-    source = trace_every_ray(scene, SOURCE_M, max_length_s=0.3, num_rays=10000, rng=np.random.default_rng(0))
-    (every,), (found,) = source.paths, source.play_roulette(scene.absorption, 0.3).paths
-    assert found.tallies is every.tallies
-    alone = tally_reflections(found)
-    for first, count in zip(found.first[:200], found.counts[:200], strict=True):
-        np.testing.assert_array_equal(every.tallies.words[first:first + count], alone.words[first:first + count])
 
 
 def test_rays_cannot_be_followed_further_than_they_were_traced():
