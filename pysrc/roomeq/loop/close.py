@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -51,7 +51,7 @@ from roomeq.loop.ledger import (
 from roomeq.loop.ledger_checks import LEDGER_FORMAT
 from roomeq.loop.power import detectable_sizes
 from roomeq.loop.refined_facing import refined_facings
-from roomeq.loop.selection import LEVEL, Candidate, choose, helps_beside, rank, weights_of
+from roomeq.loop.selection import LEVEL, Candidate, choose, effects_lacking, helps_beside, rank, weights_of
 from roomeq.loop.session import Session, fit_base_model, refit, refit_rendered, with_measured_effects
 from roomeq.loop.shared_devices import warn_of_shared_devices
 from roomeq.loop.splitters import rooms_by_devices
@@ -156,7 +156,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     first_errors, counts = heldout_errors(first), count_entries(data)
     logger.info("base model: held-out error %.2f JND (leave-positions-out), %.2f JND (leave-room-out)%s",
                 *(first_errors.mean(split) for split in SPLITS), _of_scored(counts))
-    session, errors, iterations, ranked, ranking, rejected = _add_effects(first, first_errors, unknown, max_effects)
+    session, errors, iterations, ranking, rejected = _add_effects(first, first_errors, unknown, max_effects)
     model = _model_of(session, base)
     write_model(work / MODEL_FILE, _with_places_of(session.data, model))
     np.savez_compressed(work / RESIDUALS_FILE, before=first.residual, after=session.residual)
@@ -165,7 +165,7 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
     unexplained = find_unexplained(session)
     for residual in unexplained[:1]:
         logger.info("unexplained: %s", describe_residual(residual))
-    sizes = detectable_sizes(ranked, ranking, rejected)
+    sizes = detectable_sizes(session, ranking, rejected)
     logger.info("effects that were not found would have been from a size of: %s", "; ".join(
         f"{candidate.effect.NAME} {'unknown' if size_jnd is None else f'{size_jnd:.1f} JND'}"
         for candidate, size_jnd in zip(ranking, sizes, strict=True)))
@@ -199,14 +199,12 @@ def _run(data: Data, directories: list[Path], work: Path, test_data: Data | None
 class _Extended(NamedTuple):
     """A base model with all effects that were accepted: its held-out errors, and the ledger's entries of the effects.
 
-    The last ranking is of the effects that it lacks, with the session that has their rendered changes, and the trials
-    of those that were rejected.
+    The last ranking is of the effects that it lacks, with the trials of those that were rejected.
     """
 
     session: Session
     errors: HeldOutErrors
     iterations: list[dict]
-    ranked: Session
     ranking: list[Candidate]
     rejected: dict[type[Effect], Trial]
 
@@ -219,11 +217,11 @@ def _add_effects(session: Session, errors: HeldOutErrors, unknown: IntArray, max
     iterations: list[dict] = []
     eliminated: set[type[Effect]] = set()
     while True:
-        ranked, ranking = rank(session, eliminated)
-        accepted, rejected = (_accept(ranked, errors, ranking, unknown) if len(iterations) < max_effects
+        ranking = rank(session, eliminated)
+        accepted, rejected = (_accept(session, errors, ranking, unknown) if len(iterations) < max_effects
                               else (None, {}))
         if accepted is None:
-            return _Extended(session, errors, iterations, ranked, ranking, rejected)
+            return _Extended(session, errors, iterations, ranking, rejected)
         before = errors
         entry, session, errors = accepted
         newest = CATALOGUE[entry["effect"]]
@@ -246,14 +244,15 @@ def _faced_base_model(data: Data, unknown: IntArray, *, seed: int, nj: int) -> S
     A directivity of the base model acts only where a facing is known: the model is fitted again with the estimated
     facings, which it then tells better, and with those.
     """
-    session = with_estimated_facings(fit_base_model(data, seed=seed, nj=nj))
+    how: dict[str, Any] = dict(seed=seed, nj=nj, measured=effects_lacking(data))  # all that may be added
+    session = with_estimated_facings(fit_base_model(data, **how))
     if not len(unknown) or SourceDirectivity not in data.given_kinds:
         return session
-    session = refit_rendered(session.data, session.fit, seed=seed, nj=nj)
+    session = refit_rendered(session.data, session.fit, **how)
     again = with_estimated_facings(session, unknown)
     if _same_facings(again, session, unknown):
         return session
-    return refit_rendered(again.data, session.fit, seed=seed, nj=nj)
+    return refit_rendered(again.data, session.fit, **how)
 
 
 def _same_facings(one: Session, other: Session, rirs: IntArray) -> bool:
@@ -298,7 +297,7 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate], u
         trial = judge_predicted(winner.effect, predicted, fitted)
         if trial is None:
             after = refit_rendered(_faced_as_fitted(fitted, unknown, winner.effect), winner.fit, seed=session.seed,
-                                   nj=session.nj, known_changes=session.effects)
+                                   nj=session.nj, measured=[winner.effect])
             errors_after = heldout_errors(after)
             trial = judge(winner.effect, session, after, errors, errors_after)
         if trial.reason is None:
@@ -331,8 +330,7 @@ def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]
         # most effects are known to be needed without rendering the model that lacks them
         if any(p_lower(predicted_without, predicted, split, weights) < LEVEL for split in SPLITS):
             continue
-        without = refit_rendered(session.data, without.fit, seed=session.seed, nj=session.nj,
-                                 known_changes=session.effects)
+        without = refit_rendered(session.data, without.fit, seed=session.seed, nj=session.nj)
         errors_without = heldout_errors(without)
         if all(p_lower(errors_without, errors, split, weights) >= LEVEL for split in SPLITS):
             superfluous.append(effect)

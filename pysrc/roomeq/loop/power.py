@@ -41,7 +41,7 @@ def detectable_sizes(session: Session, candidates: Sequence[Candidate], rejected
     Parameters
     ----------
     session : Session
-        Of the model that lacks the candidates, with their rendered changes (`roomeq.loop.selection.Ranking`).
+        Of the model that lacks the candidates.
     candidates : sequence of Candidate
     rejected : collection of types
         Effects of those that were rejected, by their predicted or their rendered error.

@@ -22,7 +22,7 @@ from roomeq.loop.fit import Fit, fit, with_scatter
 from roomeq.loop.heldout_errors import interval_of_mean, one_sided_p
 from roomeq.loop.packing import OWN_SCOPES, ParameterIndex
 from roomeq.loop.rendered_model import change_by, in_order
-from roomeq.loop.session import Session, with_rendered_changes
+from roomeq.loop.session import Session
 from roomeq.loop.splitters import leave_rooms_out
 
 LEVEL = 0.05
@@ -83,13 +83,6 @@ class Candidate:
                     and (self.effect.SCOPE in OWN_SCOPES or np.mean(self.gain > 0.0) >= 0.5))
 
 
-class Ranking(NamedTuple):
-    """Candidates by their total gain, the largest first, and the session with the rendered changes of all of them."""
-
-    session: Session
-    candidates: list[Candidate]
-
-
 class Choice(NamedTuple):
     """The best candidate, or None if none helps, and those that the data cannot distinguish from it."""
 
@@ -97,19 +90,25 @@ class Choice(NamedTuple):
     rivals: list[Candidate]
 
 
-def rank(session: Session, eliminated: Collection[type[Effect]] = ()) -> Ranking:
-    """Fit each effect that the model lacks and did not lose, and rank them by the densities of held-out rooms."""
+def effects_lacking(data: Data, known: Collection[type[Effect]] = ()) -> list[type[Effect]]:
+    """Return the effects that apply to data, but for those that are `known` or given."""
+    return [effect for effect in CATALOGUE.values()
+            if effect not in {*known, *data.given_kinds} and effect.applies(data)]
+
+
+def rank(session: Session, eliminated: Collection[type[Effect]] = ()) -> list[Candidate]:
+    """Fit each effect that the model lacks and did not lose; return the one with the largest total gain first.
+
+    The gain is in the density of held-out rooms.
+    """
     data = session.data
     base = fit(data, session.correction, session.effects, initial=session.fit, known=session.fit.derivatives)
     before = _densities(data, base)
-    known = {*session.effects, *data.given_kinds, *eliminated}
-    lacking: list[type[Effect]] = [effect for effect in CATALOGUE.values()
-                                   if effect not in known and effect.applies(data)]
-    session = with_rendered_changes(session, lacking)
-    longest_first = sorted(lacking, key=lambda effect: -len(effect.STARTS))  # so that no process waits for the last one
+    longest_first = sorted(effects_lacking(data, [*session.effects, *eliminated]),  # no process waits for the last one
+                           key=lambda effect: -len(effect.STARTS))
     candidates = share_out(lambda effect: _candidate(session, effect, base, before), longest_first, session.nj,
                            first_here=False, label=f"effect {len(session.effects) + 1}: fit candidates")
-    return Ranking(session, sorted(candidates, key=lambda candidate: -candidate.total))
+    return sorted(candidates, key=lambda candidate: -candidate.total)
 
 
 def _densities(data: Data, fitted: Fit) -> FloatArray:

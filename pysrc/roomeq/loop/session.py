@@ -1,6 +1,6 @@
 """A fitted model together with its data and its rendering correction."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,22 +63,24 @@ class Session:
         return np.where(valid, residual, np.nan)
 
 
-def fit_base_model(data: Data, *, seed: int, nj: int) -> Session:
-    """Fit the base model, render it, and fit it again with the rendering correction."""
+def fit_base_model(data: Data, *, seed: int, nj: int, measured: Iterable[type[Effect]] = ()) -> Session:
+    """Fit the base model, render it, and fit it again with the rendering correction.
+
+    For `measured` see `refit_rendered`.
+    """
     data = clear_rendered_changes(data, data.given_kinds)
     correction = np.zeros((len(data.rows), N_FEATURES))
-    return refit_rendered(data, fit(data, correction, ()), seed=seed, nj=nj)
+    return refit_rendered(data, fit(data, correction, ()), seed=seed, nj=nj, measured=measured)
 
 
-def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int,
-                   known_changes: Sequence[type[Effect]] = ()) -> Session:
+def refit_rendered(data: Data, fitted: Fit, *, seed: int, nj: int, measured: Iterable[type[Effect]] = ()) -> Session:
     """Render a fitted model, and fit it again with the rendering correction.
 
-    What effects change when they are rendered is measured first, but for those of `known_changes`, of which another
-    model that has them has measured it: other effects hardly change it.
+    What the effects `measured` change when they are rendered, whether the model has them or not, is measured first. Of
+    its other effects it is known from another model, as other effects hardly change it.
     """
     rendered = render_model(data, fitted, seed=seed, nj=nj)
-    data = measure_rendered_changes(rendered, [effect for effect in fitted.effects if effect not in known_changes])
+    data = measure_rendered_changes(rendered, measured)
     whole, correction = rendered_difference(replace(rendered, data=data))
     first = fit(data, correction, fitted.effects, initial=fitted)
     of_surfaces = first.derivatives._replace(by_effect={})  # which are smoother than those of effects
@@ -101,17 +103,3 @@ def with_measured_effects(session: Session) -> Session:
     lacking = [effect for effect in CATALOGUE.values()
                if effect.MEASURED and effect not in {*session.effects, *session.data.given_kinds}]
     return refit(session, session.fit, [*session.effects, *lacking]) if lacking else session
-
-
-def with_rendered_changes(session: Session, candidates: list[type[Effect]]) -> Session:
-    """Return a session whose data know what candidates change when they are rendered.
-
-    What an earlier, smaller model has measured of a candidate remains, as for `refit_rendered`; a candidate that is
-    added is measured once more.
-    """
-    unknown = [effect for effect in candidates
-               if effect.INTERPOLATION_GRID and effect.NAME not in session.data.rendered_changes]
-    if not unknown:
-        return session
-    rendered = render_model(session.data, session.fit, seed=session.seed, nj=session.nj)
-    return replace(session, data=measure_rendered_changes(rendered, unknown))
