@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -216,17 +216,21 @@ def _add_effects(session: Session, errors: HeldOutErrors, unknown: IntArray, max
     """
     iterations: list[dict] = []
     eliminated: set[type[Effect]] = set()
+    predicted = cache(partial(predicted_errors, session))  # once for all that compare with them
     while True:
         ranking = rank(session, eliminated)
-        accepted, rejected = (_accept(session, errors, ranking, unknown) if len(iterations) < max_effects
+        accepted, rejected = (_accept(session, errors, predicted, ranking, unknown) if len(iterations) < max_effects
                               else (None, {}))
         if accepted is None:
             return _Extended(session, errors, iterations, ranking, rejected)
         before = errors
         entry, session, errors = accepted
         newest = CATALOGUE[entry["effect"]]
-        session, errors, superfluous = _eliminate(session, errors, newest)
-        eliminated.update(superfluous)
+        predicted = cache(partial(predicted_errors, session))
+        session, errors, superfluous = _eliminate(session, errors, predicted, newest)
+        if superfluous:
+            eliminated.update(superfluous)
+            predicted = cache(partial(predicted_errors, session))
         if errors is not accepted.errors:
             update_errors(entry, before, errors, [effect.NAME for effect in superfluous])
         iterations.append(entry)
@@ -275,12 +279,13 @@ def _log_facings(data: Data) -> None:
         logger.info("%s", describe_facing(facing))
 
 
-def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate], unknown: IntArray
-            ) -> tuple[Accepted | None, dict[type[Effect], Trial]]:
+def _accept(session: Session, errors: HeldOutErrors, predicted: Callable[[], HeldOutErrors], ranking: list[Candidate],
+            unknown: IntArray) -> tuple[Accepted | None, dict[type[Effect], Trial]]:
     """Return the best candidate that is accepted when it is rendered, or None, and the trials of rejected effects.
 
-    A candidate whose predicted held-out error hardly falls is rejected without being rendered. In a rendering, the
-    sources of the RIRs `unknown` face as the model with the candidate says (`_faced_as_fitted`).
+    The session has held-out errors as rendered and as predicted. A candidate whose predicted one hardly falls is
+    rejected without being rendered. In a rendering, the sources of the RIRs `unknown` face as the model with the
+    candidate says (`_faced_as_fitted`).
 
     A worse-fitting candidate replaces a rejected one only if the rejected one raised the error, or if it explains
     something else. If the error merely did not fall, the rejected candidate may still be the cause, and a significantly
@@ -288,7 +293,6 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate], u
     """
     pool = ranking
     rejected: dict[type[Effect], Trial] = {}
-    predicted = cache(partial(predicted_errors, session))  # for all candidates
     while True:
         winner, rivals = choose(pool, len(ranking))
         if winner is None:
@@ -312,9 +316,11 @@ def _accept(session: Session, errors: HeldOutErrors, ranking: list[Candidate], u
                      or (candidate.helps(len(ranking)) and helps_beside(fitted, candidate, len(ranking))))]
 
 
-def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]
+def _eliminate(session: Session, errors: HeldOutErrors, predicted: Callable[[], HeldOutErrors], newest: type[Effect]
                ) -> tuple[Session, HeldOutErrors, list[type[Effect]]]:
     """Take out effects that a newer one makes superfluous: the held-out error is not significantly higher without.
+
+    The session has held-out errors as rendered and as predicted.
 
     What was read off the recordings themselves remains: no other effect explains it.
 
@@ -323,12 +329,11 @@ def _eliminate(session: Session, errors: HeldOutErrors, newest: type[Effect]
     superfluous: list[type[Effect]] = []
     left, errors_left = session, errors
     earlier = [effect for effect in session.effects if effect is not newest and not effect.MEASURED]
-    predicted = predicted_errors(session) if earlier else errors
     for effect in earlier:
         without = refit(session, session.fit, [other for other in left.effects if other is not effect])
         weights, predicted_without = weights_of(effect, session), predicted_errors(without)
         # most effects are known to be needed without rendering the model that lacks them
-        if any(p_lower(predicted_without, predicted, split, weights) < LEVEL for split in SPLITS):
+        if any(p_lower(predicted_without, predicted(), split, weights) < LEVEL for split in SPLITS):
             continue
         without = refit_rendered(session.data, without.fit, seed=session.seed, nj=session.nj)
         errors_without = heldout_errors(without)

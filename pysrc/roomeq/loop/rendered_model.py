@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roomeq.core.arrays import FloatArray
+from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.effects.base import Effect
 from roomeq.effects.catalogue import CATALOGUE
 from roomeq.loop.data import Data
@@ -184,7 +184,10 @@ def _ray_field(rendered: RenderedModel) -> _RayField:
 
 
 def _rendered_changes(rendered: RenderedModel, ray_field: _RayField, effect: type[Effect]) -> FloatArray:
-    """Measure the change of the features by an effect at each point of its grid, (n_points, n_rirs, n_features).
+    """Return the change of the features by an effect at each point of its grid, (n_points, n_rirs, n_features).
+
+    It is measured at all points; or, of an effect of the model, whose change a smaller model has measured, at those
+    next to its parameters.
 
     A wave field that replaces rays also replaces their Monte Carlo noise: the part of the noise that does not recur
     with the effect is taken back. Of the changes that differ between RIRs, the helpful share is kept (`_split`): the
@@ -194,14 +197,28 @@ def _rendered_changes(rendered: RenderedModel, ray_field: _RayField, effect: typ
     without = [[existing for existing in effects if not isinstance(existing, effect)] for effects in rendered.by_row]
     alone = not any(kind.INTERPOLATION_GRID for kind in rendered.fit.effects if kind is not effect)
     plain = ray_field.features if alone else rendered.features_with(without)
-    grid = [effect.from_vector(np.array(point)) for point in effect.INTERPOLATION_GRID]
-    noise_power, changes = np.maximum(np.sum(noise ** 2, axis=0), 1e-9), []
-    for features in rendered.features_of([[_sorted([*effects, new]) for effects in without] for new in grid]):
+    noise_power, changes = np.maximum(np.sum(noise ** 2, axis=0), 1e-9), {}
+    points = _points_to_measure(rendered, effect)
+    grid = [effect.from_vector(np.array(effect.INTERPOLATION_GRID[point])) for point in points]
+    for point, features in zip(points, rendered.features_of([[_sorted([*effects, new]) for effects in without]
+                                                             for new in grid]), strict=True):
         change = features - plain
         change = np.where(np.isfinite(change), change, 0.0)
         removed = np.clip(-np.sum((change - change.mean(axis=0)) * noise, axis=0) / noise_power, 0.0, 1.0)
-        changes.append(_split(rendered.data, change + removed * noise, error).helpful)
-    return np.array(changes)
+        changes[point] = _split(rendered.data, change + removed * noise, error).helpful
+    return np.array([changes[point] if point in changes else rendered.data.rendered_changes[effect.NAME][point]
+                     for point in range(len(effect.INTERPOLATION_GRID))])
+
+
+def _points_to_measure(rendered: RenderedModel, effect: type[Effect]) -> IntArray:
+    """Return the numbers of the points of an effect's grid at which its change is to be measured."""
+    grid = np.array(effect.INTERPOLATION_GRID)
+    if effect not in rendered.fit.effects or effect.NAME not in rendered.data.rendered_changes:
+        return np.arange(len(grid))
+    index = ParameterIndex(rendered.data, rendered.fit.effects)
+    vectors = index.vectors(rendered.fit.mean, rendered.fit.local)[index.effects.index(effect)]
+    distance = np.linalg.norm(grid - vectors[:, None], axis=2)
+    return np.unique(np.argsort(distance, axis=1)[:, :2])
 
 
 def _split(data: Data, difference: FloatArray, error: FloatArray) -> _Difference:

@@ -51,7 +51,8 @@ def test_effect_is_superfluous_if_the_error_does_not_rise_without_it(without, su
     monkeypatch.setattr(close, "predicted_errors", error_without)
     monkeypatch.setattr(close, "heldout_errors", rendered_error_without)
     monkeypatch.setattr(close, "weights_of", lambda *_: np.ones((2 * ROOMS, N_FEATURES), dtype=bool))
-    session, left, found = close._eliminate(fitted, errors(2.0, seed=9), SourceDirectivity)
+    session, left, found = close._eliminate(fitted, errors(2.0, seed=9), lambda: error_without(fitted),
+                                            SourceDirectivity)
     assert set(session.effects) == set(every) - set(superfluous)
     assert found == superfluous
     assert left.mean(SPLITS[0]) == pytest.approx(without[superfluous[-1]] if superfluous else 2.0, abs=0.1)
@@ -66,13 +67,13 @@ def test_effect_stays_if_only_the_prediction_can_do_without_it(monkeypatch):
     monkeypatch.setattr(close, "predicted_errors", lambda session: errors(2.0, seed=len(session.effects)))
     monkeypatch.setattr(close, "heldout_errors", lambda session: errors(2.4))
     monkeypatch.setattr(close, "weights_of", lambda *_: np.ones((2 * ROOMS, N_FEATURES), dtype=bool))
-    assert close._eliminate(fitted, of_fitted, SourceDirectivity) == (fitted, of_fitted, [])
+    assert close._eliminate(fitted, of_fitted, lambda: of_fitted, SourceDirectivity) == (fitted, of_fitted, [])
 
 
 def test_noise_of_the_recordings_is_not_superfluous(monkeypatch):
     fitted = session_with((SourceDirectivity, NoiseFloor))
     monkeypatch.setattr(close, "refit", lambda *_, **__: pytest.fail("a model without the noise was tried"))
-    session, _, found = close._eliminate(fitted, errors(2.0), SourceDirectivity)
+    session, _, found = close._eliminate(fitted, errors(2.0), lambda: errors(2.0), SourceDirectivity)
     assert session is fitted and found == []
 
 

@@ -343,7 +343,7 @@ def test_effect_whose_predicted_error_hardly_falls_is_not_rendered(monkeypatch, 
     monkeypatch.setattr(close, "refit", lambda *_: effect)
     monkeypatch.setattr(close, "refit_rendered", lambda *_, **__: pytest.fail("was rendered"))
     if reason:
-        _, rejected = close._accept(SimpleNamespace(data=None, effects=(), seed=0, nj=1), None,
+        _, rejected = close._accept(SimpleNamespace(data=None, effects=(), seed=0, nj=1), None, lambda: errors(None),
                                     [Candidate(effect, effect, 20.0 + np.arange(8), 2.0)], np.zeros(0, dtype=int))
         assert rejected == {effect: trial}
         assert describe_rejection(trial).startswith("predicted, the held-out error")
@@ -369,8 +369,8 @@ def accept(ranking, errors, touched, monkeypatch):
         fitted if data == f"faced as with {fitted.NAME}" else pytest.fail(data)))
     monkeypatch.setattr(close, "heldout_errors", errors)
     monkeypatch.setattr(close, "iteration_entry", lambda winner, *_: dict(effect=winner.effect.NAME))
-    found, _ = close._accept(SimpleNamespace(data=None, effects=(), seed=0, nj=1), errors(None), ranking,
-                             np.zeros(0, dtype=int))
+    found, _ = close._accept(SimpleNamespace(data=None, effects=(), seed=0, nj=1), errors(None),
+                             lambda: errors(None), ranking, np.zeros(0, dtype=int))
     return found and found.entry["effect"]
 
 
