@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
+from scipy.special import chdtri, fdtri
 
 from roomeq.acoustics.same_recordings import SAME, find_same
 from roomeq.core.arrays import FloatArray, IntArray
@@ -74,7 +73,7 @@ def find_other_decays(rows: Sequence[Mapping[str, Any]], log_t20: FloatArray) ->
                 compared = np.isfinite(log_t20[n] - usual.median)
                 others = [other for other, (_, there) in rooms.items()
                           if other != room_id and np.all(np.isfinite(there.median[compared]))
-                          and _sum_of_squares(log_t20[n], there) <= chi2.isf(UNLIKE, compared.sum())]
+                          and _sum_of_squares(log_t20[n], there) <= chdtri(compared.sum(), UNLIKE)]
                 if others:
                     doubts[n] = Doubt(OTHER_DECAY, _describe(rows[n], log_t20[n], usual.median, unusual, limit, others))
     return doubts
@@ -111,11 +110,11 @@ def _deviation(log_t20: FloatArray, usual: _Usual, others: FloatArray) -> tuple[
     n_known = int(known.sum())
     if not n_known:
         return 0.0, 0.0
-    unusual, limit = _sum_of_squares(log_t20, usual), float(chi2.isf(FALSE_ALARM, n_known))
+    unusual, limit = _sum_of_squares(log_t20, usual), float(chdtri(n_known, FALSE_ALARM))
     if unusual > limit:
         factor, df = _scatter(others[:, known] / usual.expected[known])
         scattered = _sum_of_squares(log_t20, usual, factor)
-        of_scattered = n_known * float(f_distribution.isf(FALSE_ALARM_SCATTERED, n_known, df))
+        of_scattered = n_known * float(fdtri(n_known, df, 1.0 - FALSE_ALARM_SCATTERED))
         if scattered * limit < unusual * of_scattered:
             return scattered, of_scattered
     return unusual, limit
