@@ -129,7 +129,7 @@ def complete_geometry(rirs: Sequence[Located], seed: int, nj: int) -> tuple[list
         return complete_room([rirs[n].row for n in members], [_arrivals(rirs[n]) for n in members], seed)
 
     estimates: list[Estimate] = []
-    for members, room in zip(rooms.values(), share_out(of_room, rooms.values(), nj,
+    for members, room in zip(rooms.values(), share_out(of_room, rooms.values(), nj, first_here=False,
                                                               label="estimate geometry of rooms"), strict=True):
         for n, row in zip(members, room.rows, strict=True):
             completed[n] = Located(rirs[n].directory, row)
