@@ -56,8 +56,8 @@ from roomeq.loop.predict import ReflectedEnergy, predict
 from roomeq.loop.ray_energy import sum_rays
 from roomeq.loop.refined_facing import _turned, refined_facings
 from roomeq.loop.rendering import render_rows, rendered_features, row_models
-from roomeq.loop.selection import _candidate, _densities, choose, effects_lacking, rank, size_of_change_jnd
-from roomeq.loop.session import fit_base_model
+from roomeq.loop.selection import _candidate, _densities, choose, rank, size_of_change_jnd
+from roomeq.loop.session import effects_lacking, fit_base_model
 from roomeq.loop.splitters import (
     COMMON_SPECTRUM,
     calibrate,

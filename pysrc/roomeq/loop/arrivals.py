@@ -11,10 +11,11 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import ifft, next_fast_len, rfft, rfftfreq
+from scipy.fft import ifft, next_fast_len, rfft
 from scipy.ndimage import gaussian_filter1d
 
 from roomeq.acoustics.direct import find_direct
+from roomeq.acoustics.high_pass import high_pass
 from roomeq.core.arrays import FloatArray, IntArray
 from roomeq.core.constants import FS_HZ
 from roomeq.core.jit import compiled
@@ -104,12 +105,8 @@ def _squared_envelope(part: FloatArray) -> FloatArray:
 
 @cache
 def _high_pass(n_fft: int) -> FloatArray:
-    """Return the gain of a Butterworth high-pass of fourth order at `LOWEST_HZ`, run forwards and backwards.
-
-    Bilinear transform. `scipy.signal` has the same filter, and takes half a second to import.
-    """
-    warped = np.tan(np.pi * rfftfreq(n_fft, 1.0 / FS_HZ)[1:] / FS_HZ)
-    return np.concatenate([[0.0], 1.0 / (1.0 + (np.tan(np.pi * LOWEST_HZ / FS_HZ) / warped) ** 8)])
+    """Return the gain of a high-pass at `LOWEST_HZ` that runs forwards and backwards, shape (n_fft // 2 + 1,)."""
+    return np.asarray(np.abs(high_pass(n_fft, FS_HZ, LOWEST_HZ)) ** 2)
 
 
 @cache

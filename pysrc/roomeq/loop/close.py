@@ -51,8 +51,15 @@ from roomeq.loop.ledger import (
 from roomeq.loop.ledger_checks import LEDGER_FORMAT
 from roomeq.loop.power import detectable_sizes
 from roomeq.loop.refined_facing import refined_facings
-from roomeq.loop.selection import LEVEL, Candidate, choose, effects_lacking, helps_beside, rank, weights_of
-from roomeq.loop.session import Session, fit_base_model, refit, refit_rendered, with_measured_effects
+from roomeq.loop.selection import LEVEL, Candidate, choose, helps_beside, rank, weights_of
+from roomeq.loop.session import (
+    Session,
+    effects_lacking,
+    fit_base_model,
+    refit,
+    refit_rendered,
+    with_measured_effects,
+)
 from roomeq.loop.shared_devices import warn_of_shared_devices
 from roomeq.loop.splitters import rooms_by_devices
 from roomeq.loop.unexplained import find_unexplained

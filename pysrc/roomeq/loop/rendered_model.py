@@ -197,7 +197,9 @@ def _rendered_changes(rendered: RenderedModel, ray_field: _RayField, effect: typ
     without = [[existing for existing in effects if not isinstance(existing, effect)] for effects in rendered.by_row]
     alone = not any(kind.INTERPOLATION_GRID for kind in rendered.fit.effects if kind is not effect)
     plain = ray_field.features if alone else rendered.features_with(without)
-    noise_power, changes = np.maximum(np.sum(noise ** 2, axis=0), 1e-9), {}
+    noise_power, n_points = np.maximum(np.sum(noise ** 2, axis=0), 1e-9), len(effect.INTERPOLATION_GRID)
+    known = rendered.data.rendered_changes.get(effect.NAME)
+    changes = np.empty((n_points, *plain.shape)) if known is None else known.copy()
     points = _points_to_measure(rendered, effect)
     grid = [effect.from_vector(np.array(effect.INTERPOLATION_GRID[point])) for point in points]
     for point, features in zip(points, rendered.features_of([[_sorted([*effects, new]) for effects in without]
@@ -206,8 +208,7 @@ def _rendered_changes(rendered: RenderedModel, ray_field: _RayField, effect: typ
         change = np.where(np.isfinite(change), change, 0.0)
         removed = np.clip(-np.sum((change - change.mean(axis=0)) * noise, axis=0) / noise_power, 0.0, 1.0)
         changes[point] = _split(rendered.data, change + removed * noise, error).helpful
-    return np.array([changes[point] if point in changes else rendered.data.rendered_changes[effect.NAME][point]
-                     for point in range(len(effect.INTERPOLATION_GRID))])
+    return changes
 
 
 def _points_to_measure(rendered: RenderedModel, effect: type[Effect]) -> IntArray:

@@ -14,7 +14,6 @@ import numpy as np
 from roomeq.core.arrays import FloatArray
 from roomeq.core.workers import share_out
 from roomeq.effects.base import Effect
-from roomeq.effects.catalogue import CATALOGUE
 from roomeq.effects.source_directivity import SourceDirectivity
 from roomeq.loop.data import Data
 from roomeq.loop.features import METRIC, SHOW_DIRECT_SOUND
@@ -22,7 +21,7 @@ from roomeq.loop.fit import Fit, fit, with_scatter
 from roomeq.loop.heldout_errors import interval_of_mean, one_sided_p
 from roomeq.loop.packing import OWN_SCOPES, ParameterIndex
 from roomeq.loop.rendered_model import change_by, in_order
-from roomeq.loop.session import Session
+from roomeq.loop.session import Session, effects_lacking
 from roomeq.loop.splitters import leave_rooms_out
 
 LEVEL = 0.05
@@ -90,17 +89,8 @@ class Choice(NamedTuple):
     rivals: list[Candidate]
 
 
-def effects_lacking(data: Data, known: Collection[type[Effect]] = ()) -> list[type[Effect]]:
-    """Return the effects that apply to data, but for those that are `known` or given."""
-    return [effect for effect in CATALOGUE.values()
-            if effect not in {*known, *data.given_kinds} and effect.applies(data)]
-
-
 def rank(session: Session, eliminated: Collection[type[Effect]] = ()) -> list[Candidate]:
-    """Fit each effect that the model lacks and did not lose; return the one with the largest total gain first.
-
-    The gain is in the density of held-out rooms.
-    """
+    """Fit each effect that the model lacks and did not lose, and rank them by the densities of held-out rooms."""
     data = session.data
     base = fit(data, session.correction, session.effects, initial=session.fit, known=session.fit.derivatives)
     before = _densities(data, base)

@@ -1,6 +1,6 @@
 """A fitted model together with its data and its rendering correction."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,8 +98,13 @@ def refit(session: Session, initial: Fit, effects: Sequence[type[Effect]] | None
     return replace(session, effects=fitted.effects, fit=fitted)
 
 
+def effects_lacking(data: Data, known: Collection[type[Effect]] = ()) -> list[type[Effect]]:
+    """Return the effects that apply to data, but for those that are `known` or given."""
+    return [effect for effect in CATALOGUE.values()
+            if effect not in {*known, *data.given_kinds} and effect.applies(data)]
+
+
 def with_measured_effects(session: Session) -> Session:
     """Return a session whose model also has what is read off any recording, such as its noise (`Effect.MEASURED`)."""
-    lacking = [effect for effect in CATALOGUE.values()
-               if effect.MEASURED and effect not in {*session.effects, *session.data.given_kinds}]
+    lacking = [effect for effect in effects_lacking(session.data, session.effects) if effect.MEASURED]
     return refit(session, session.fit, [*session.effects, *lacking]) if lacking else session

@@ -20,9 +20,10 @@ All pulses are positive and add up in phase at the lowest frequencies, where geo
 from functools import lru_cache
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.fft import irfft, next_fast_len, rfft
 
 from roomeq.acoustics.filterbank import SPREAD_S, octave_filterbank, third_octave_filterbank, thirds_of_octaves
+from roomeq.acoustics.high_pass import high_pass
 from roomeq.acoustics.minimum_phase import minimum_phase
 from roomeq.core.arrays import Array, FloatArray, Number
 from roomeq.core.constants import FS_HZ, exact_bands_hz
@@ -199,15 +200,7 @@ def _add_first(signal: FloatArray, delay: float, gains: FloatArray, fs_hz: float
 
 @lru_cache(maxsize=8)
 def _high_pass(n_fft: int, fs_hz: float) -> Array:
-    """Return the spectrum of a Butterworth high-pass of fourth order at `LOWEST_HZ`, complex64.
-
-    Bilinear transform of the low-pass prototype ``1 / prod(p - pole)`` with ``p = w_c / s``. `scipy.signal` has the
-    same filter, and takes half a second to import.
-    """
-    poles = np.exp(0.125j * np.pi * np.array([5.0, 7.0, 9.0, 11.0]))
-    warped = np.tan(np.pi * rfftfreq(n_fft, 1.0 / fs_hz)[1:] / fs_hz)
-    prototype = -1j * np.tan(np.pi * LOWEST_HZ / fs_hz) / warped
-    return np.concatenate([[0.0], 1.0 / np.prod(prototype[:, None] - poles, axis=1)]).astype(np.complex64)
+    return high_pass(n_fft, fs_hz, LOWEST_HZ).astype(np.complex64)
 
 
 def _padded(echogram: FloatArray, n_samples: int, fs_hz: float) -> FloatArray:
