@@ -273,7 +273,7 @@ def _put(shares: FloatArray, low: int, high: Number, weight: Number) -> None:
 @compiled
 def by_direction(place: Array, amount: Array, end: IntArray, cell: IntArray, n_cells: int, filled: IntArray, size: int
                  ) -> Array:
-    """Return how much of each entry departed in each cell of directions, shape (n_entries, n_cells).
+    """Return which share of each entry departed in each cell of directions.
 
     Parameters
     ----------
@@ -285,6 +285,11 @@ def by_direction(place: Array, amount: Array, end: IntArray, cell: IntArray, n_c
     filled : ndarray of int, shape (n_entries,)
         Places of the entries, of `size` in all.
     size : int
+
+    Returns
+    -------
+    ndarray of uint16, shape (n_entries, n_cells)
+        In units of 1 / 65535.
     """
     entry_at, departed, first = np.zeros(size, np.int64), np.zeros((len(filled), n_cells), np.float32), 0
     for entry in range(len(filled)):
@@ -293,4 +298,38 @@ def by_direction(place: Array, amount: Array, end: IntArray, cell: IntArray, n_c
         for n in range(first, end[ray]):
             departed[entry_at[place[n]], cell[ray]] += amount[n]
         first = end[ray]
-    return departed
+    shares = np.empty(departed.shape, np.uint16)
+    for entry in range(len(filled)):
+        total = _ZERO
+        for direction in range(n_cells):
+            total += departed[entry, direction]
+        scale = np.float32(65535.0) / total if total > _ZERO else _ZERO
+        for direction in range(n_cells):
+            shares[entry, direction] = np.uint16(departed[entry, direction] * scale + np.float32(0.5))
+    return shares
+
+
+@compiled
+def nearest_directions(directions: FloatArray, cells: Array) -> IntArray:
+    """Return the number of the nearest of some directions, shape (n_cells, 3), to each of others, shape (n, 3).
+
+    All are unit vectors. Directions are compared in blocks, whose innermost loop is vectorised.
+    """
+    nearest, n_block = np.empty(len(directions), np.int64), 64
+    x, y, z = np.zeros(n_block, np.float32), np.zeros(n_block, np.float32), np.zeros(n_block, np.float32)
+    best = np.empty(n_block, np.float32)
+    found = np.empty(n_block, np.int32)
+    for first in range(0, len(directions), n_block):
+        count = min(n_block, len(directions) - first)
+        for n in range(count):
+            x[n], y[n], z[n] = directions[first + n, 0], directions[first + n, 1], directions[first + n, 2]
+            best[n], found[n] = np.float32(-2.0), 0
+        for cell in range(len(cells)):
+            u, v, w = cells[cell, 0], cells[cell, 1], cells[cell, 2]
+            for n in range(n_block):
+                cosine = x[n] * u + y[n] * v + z[n] * w
+                found[n] = cell if cosine > best[n] else found[n]
+                best[n] = cosine if cosine > best[n] else best[n]
+        for n in range(count):
+            nearest[first + n] = found[n]
+    return nearest

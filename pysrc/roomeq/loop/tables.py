@@ -14,10 +14,16 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import KDTree
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray
-from roomeq.loop.contributions import Rays, Receiver, add_contributions, by_direction, walk_rays
+from roomeq.loop.contributions import (
+    Rays,
+    Receiver,
+    add_contributions,
+    by_direction,
+    nearest_directions,
+    walk_rays,
+)
 from roomeq.loop.traces import StoredArray
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.mesh import MeshRoom
@@ -107,7 +113,8 @@ def collect(traced: TracedSource, mics_m: ArrayLike) -> list[tuple[Table, Array]
     -------
     list of (Table, ndarray)
         For each microphone, the table of a source that faces nobody knows where, and the share of each entry that
-        departed in each cell of directions, shape (n, n_cells), for `turned`.
+        departed in each cell of directions, shape (n, n_cells), for `turned`; see
+        `roomeq.loop.contributions.by_direction`.
     """
     (paths,) = traced.paths
     room, source_pos_m, speed_m_s = traced.scene.room, traced.source_pos_m, traced.scene.air.speed_m_s
@@ -122,7 +129,7 @@ def collect(traced: TracedSource, mics_m: ArrayLike) -> list[tuple[Table, Array]
     radii_m, volumes_m3 = receiver_spheres(room, mics_m)
     rays = Rays(paths.hits, paths.codes, paths.first, paths.counts)
     walk = walk_rays(paths, level_surfaces(room)[paths.face_surface], len(LEVEL_SHARES))
-    cell = KDTree(_CELLS).query(paths.directions)[1]
+    cell = nearest_directions(paths.directions, _CELLS)
     tables = []
     for m, mic_m in enumerate(mics_m):
         distance_m = float(np.linalg.norm(mic_m - source_pos_m))
@@ -134,11 +141,10 @@ def collect(traced: TracedSource, mics_m: ArrayLike) -> list[tuple[Table, Array]
         place, amount, end = add_contributions(rays, walk, receiver, counts)
         filled = np.flatnonzero(counts.any(axis=2))
         departed = by_direction(place, amount, end, cell, _N_CELLS, filled, counts[:, :, 0].size)
-        departed /= np.maximum(departed.sum(axis=1, keepdims=True), 1e-30)
         entries = np.stack(np.divmod(filled, counts.shape[1]), axis=1).astype(np.int32)
         of_entries = counts.reshape(-1, len(LEVEL_SHARES))[filled] / (4.0 * np.pi * len(paths.counts))
         tables.append((Table(entries, of_entries.astype(np.float32), distance_m, bool(sees[m])),
-                       departed.astype(np.float16)))
+                       departed))
     return tables
 
 
