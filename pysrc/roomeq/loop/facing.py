@@ -137,11 +137,20 @@ def _best_axes(groups: list[list[int]], towards: FloatArray, log_likelihood: Flo
     evidence = np.zeros(n_assumed)
     for rirs in groups:
         angles = np.arccos(np.clip(towards[rirs] @ _AXES.T, -1.0, 1.0))  # (n_rirs_of_group, n_axes)
-        for k, assumed in enumerate(log_likelihood):
-            of_axes = np.sum([np.interp(angles[i], _TEST_ANGLES, assumed[n]) for i, n in enumerate(rirs)], axis=0)
-            evidence[k] += float(logsumexp(of_axes)) - np.log(len(_AXES))
-            best[k].update(dict.fromkeys(rirs, _AXES[int(np.argmax(of_axes))]))
+        (before, part), rir = _on_grid(angles), np.array(rirs)[:, None]
+        of_rirs = log_likelihood[:, rir, before] * (1.0 - part) + log_likelihood[:, rir, before + 1] * part
+        of_axes = of_rirs.sum(axis=1)
+        evidence += logsumexp(of_axes, axis=1) - np.log(len(_AXES))
+        for of_assumed, axis in zip(best, np.argmax(of_axes, axis=1), strict=True):
+            of_assumed.update(dict.fromkeys(rirs, _AXES[axis]))
     return best[int(np.argmax(evidence))], float(logsumexp(evidence) - np.log(n_assumed))
+
+
+def _on_grid(angles: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the number of the angle of `_TEST_ANGLES` below some angles, and their place from there to the next."""
+    place = angles / _TEST_ANGLES[1]
+    before = np.minimum(place.astype(int), len(_TEST_ANGLES) - 2)
+    return before, place - before
 
 
 def _log_likelihood(data: Data, index: ParameterIndex, mean: FloatArray, local: list[FloatArray],
