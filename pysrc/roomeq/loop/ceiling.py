@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from roomeq.acoustics.octaves import OCTAVE_WIDTH_HZ
 from roomeq.core.arrays import FloatArray, IntArray
@@ -150,7 +150,7 @@ def _share(before: FloatArray, after: FloatArray, ceiling: FloatArray) -> dict:
     if len(fallen) < 3:
         return dict(share=share, ci=None)
     deviation = (fallen - share * explainable).std(ddof=1) / np.sqrt(len(fallen)) / explainable.mean()
-    half = float(stats.t.ppf(0.975, len(fallen) - 1) * deviation)
+    half = float(stdtrit(len(fallen) - 1, 0.975) * deviation)
     return dict(share=share, ci=[share - half, share + half])
 
 

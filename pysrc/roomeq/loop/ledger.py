@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri, stdtrit
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.files import read_json
@@ -164,7 +164,7 @@ def _parameter_intervals(session: Session, effect: type[Effect]) -> dict:
     for u, of_unit in enumerate(entry.values()):
         rooms = np.unique(session.data.room[unit_of_row == u])
         half = (_jackknife_half_interval(held_out[rooms, u]) if len(rooms) > 2 and not _in_sum_with(session, effect)
-                else stats.norm.ppf(0.975) * deviation[u])
+                else ndtri(0.975) * deviation[u])
         of_unit |= {"low": _parameters_of(effect, best[u] - half), "high": _parameters_of(effect, best[u] + half)}
     return entry
 
@@ -172,7 +172,7 @@ def _parameter_intervals(session: Session, effect: type[Effect]) -> dict:
 def _jackknife_half_interval(without: FloatArray) -> FloatArray:
     """Return half the 95 % interval of estimates from those without each observation, shape (n_observations, n)."""
     n = len(without)
-    return np.asarray(stats.t.ppf(0.975, n - 1) * np.sqrt((n - 1) / n * np.sum((without - without.mean(axis=0)) ** 2,
+    return np.asarray(stdtrit(n - 1, 0.975) * np.sqrt((n - 1) / n * np.sum((without - without.mean(axis=0)) ** 2,
                                                                                axis=0)))
 
 

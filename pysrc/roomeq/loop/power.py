@@ -13,7 +13,7 @@ effects, was not found at the size that was fitted, whatever its density.
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri
 
 from roomeq.core.arrays import FloatArray
 from roomeq.core.rng import rng_for
@@ -46,7 +46,7 @@ def detectable_sizes(session: Session, candidates: Sequence[Candidate], rejected
     rejected : collection of types
         Effects of those that were rejected, by their predicted or their rendered error.
     """
-    quantile = float(stats.norm.ppf(POWER))
+    quantile = float(ndtri(POWER))
 
     def size_jnd(candidate: Candidate) -> float | None:
         cost = max(0.0, max(candidate.gain.max(), 0.0) - candidate.total)
