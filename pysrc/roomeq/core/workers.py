@@ -27,7 +27,7 @@ PER_CORE = 4
 LOG_VARIABLE = "ROOMEQ_WORKER_LOG"
 """Environment variable with a file that takes what workers say, of single items as a rule."""
 
-_RUNS = 16  # of items that a process works on one after the other: to hand over each by itself takes time
+_RUNS = 48  # of items that a process works on one after the other: to hand over each by itself takes time
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 _watcher = 0  # process that watches its parent
