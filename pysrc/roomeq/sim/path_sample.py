@@ -60,7 +60,7 @@ _FARTHEST = 1.5  # decay, relative to that of a reference, to which the gain of 
 _LOG_LARGEST_GAIN = np.float32(np.log(LARGEST_GAIN))
 _ROUNDING_M = 1e-6  # of the coordinates of arrays that are turned
 _NO_GAIN = np.zeros((0, 0, 0), np.float32)
-_NO_EMITTED = np.zeros((0, 8), np.float32)
+_NO_EMITTED = np.zeros((0, BANDS_PER_PASS), np.float32)  # gains of rays at the source: all 1
 _NEGLIGIBLE = np.float32(1e-25)  # share of a ray's energy at a reference that counts as none
 _SPECULAR = np.uint32(1 << 31)  # added to the last reflection of a path that ends specularly
 _EMPTY = np.float32(1e-20)  # energy of a frame at a reference that counts as none: what was neglected may show
@@ -201,13 +201,12 @@ class PathSample:
         result = np.zeros((self.weight.shape[1], len(trace_of_band)), dtype=np.float32)
         energy = np.empty((len(result), BANDS_PER_PASS), np.float32)
         for trace, first in sorted({(int(trace_of_band[n]), int(n) // BANDS_PER_PASS * BANDS_PER_PASS) for n in bands}):
-            gain = _NO_GAIN if ray_gain is None else eight_bands(ray_gain, first)[self.rays[trace]]
-            if arrival_gain is not None:
-                of_arrivals = eight_bands(arrival_gain[trace], first)
-                gain = gain * of_arrivals if len(gain) else of_arrivals
+            of_rays = _NO_EMITTED if ray_gain is None else eight_bands(ray_gain, first)
+            of_arrivals = _NO_GAIN if arrival_gain is None else eight_bands(arrival_gain[trace], first)
             counts = self.reflection_counts[trace]
             reflected = eight_bands(1.0 - absorption, first)
-            _absorb(self.weight[trace], counts, self._most_reflections[trace], reflected, gain, energy)
+            _absorb(self.weight[trace], counts, self._most_reflections[trace], reflected, self.rays[trace], of_rays,
+                    of_arrivals, energy)
             if (limited := self.limited.of(trace, first, reflected)) is not None:
                 energy *= limited
             served = bands[(trace_of_band[bands] == trace) & (first <= bands) & (bands < first + BANDS_PER_PASS)]
@@ -407,8 +406,11 @@ def _unpack(sums: Array, kept: Array, of_ray: Array, first: Array, codes: Array,
 
 
 @compiled
-def _absorb(weight: Array, counts: Array, most: Number, reflected: Array, gain: Array, energy: Array) -> None:
+def _absorb(weight: Array, counts: Array, most: Number, reflected: Array, rays: Array, ray_gain: Array,
+            arrival_gain: Array, energy: Array) -> None:
     """Sum the paths of each frame, attenuated by each surface that they met, into `energy`, shape (n_frames, 8).
+
+    Gains are those of `PathSample.echogram`, of eight bands, and empty where they are 1.
 
     The eight bands are eight variables, so that they are multiplied at once; powers come from a table.
     """
@@ -426,8 +428,12 @@ def _absorb(weight: Array, counts: Array, most: Number, reflected: Array, gain: 
                 rho = power[surface, counts[frame, place, surface]]
                 g0, g1, g2, g3 = g0 * rho[0], g1 * rho[1], g2 * rho[2], g3 * rho[3]
                 g4, g5, g6, g7 = g4 * rho[4], g5 * rho[5], g6 * rho[6], g7 * rho[7]
-            if len(gain):
-                rho = gain[frame, place]
+            if len(ray_gain):
+                rho = ray_gain[rays[frame, place]]
+                g0, g1, g2, g3 = g0 * rho[0], g1 * rho[1], g2 * rho[2], g3 * rho[3]
+                g4, g5, g6, g7 = g4 * rho[4], g5 * rho[5], g6 * rho[6], g7 * rho[7]
+            if len(arrival_gain):
+                rho = arrival_gain[frame, place]
                 g0, g1, g2, g3 = g0 * rho[0], g1 * rho[1], g2 * rho[2], g3 * rho[3]
                 g4, g5, g6, g7 = g4 * rho[4], g5 * rho[5], g6 * rho[6], g7 * rho[7]
             e0, e1, e2, e3, e4, e5, e6, e7 = e0 + g0, e1 + g1, e2 + g2, e3 + g3, e4 + g4, e5 + g5, e6 + g6, e7 + g7
