@@ -26,7 +26,7 @@ export PATH="$ROOMEQ_DIR/.venv/bin:$PATH"
 [ -z "${PYTHONPATH:-}" ] || [ -f "$PYTHONPATH/roomeq/__init__.py" ] ||
   echo "path.sh: PYTHONPATH='$PYTHONPATH' is ignored: the recipe runs with the packages that it pins" >&2
 export PYTHONPATH="$ROOMEQ_DIR/pysrc"
-unset PYTHONHOME
+unset PYTHONHOME PYTHONDONTWRITEBYTECODE # compiled code is kept beside the sources in any case
 export LC_ALL=C PYTHONUTF8=1
 # work is split into jobs, and each job uses one thread
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMBA_NUM_THREADS=1
