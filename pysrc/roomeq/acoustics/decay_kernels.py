@@ -2,21 +2,35 @@
 
 import numpy as np
 
-from roomeq.core.arrays import FloatArray
+from roomeq.acoustics.decibels import TINY_POWER
+from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.jit import compiled
 
 
 @compiled
-def net_energy(remaining: FloatArray, noise_power: float) -> FloatArray:
-    """Return the energy from each sample to the last one, less that of the noise.
+def decay_curve(before: Array, remaining: FloatArray, noise_power: float, rest_energy: float
+                ) -> tuple[FloatArray, float]:
+    """Return the energy from each sample on, less that of the noise, relative to the total; and the total.
 
-    `remaining` is that of `roomeq.acoustics.noise_intersection.remaining_energy` up to and with the last one.
+    Parameters
+    ----------
+    before
+        Response ahead of the first sample, whose energy counts towards the total alone.
+    remaining
+        `roomeq.acoustics.noise_intersection.remaining_energy` up to and with the last sample, shape (n_samples + 1,).
+    noise_power
+        Mean square of the noise.
+    rest_energy
+        Energy of the decay after the last sample.
     """
-    n_samples = len(remaining) - 1
-    energy = np.empty(n_samples)
+    n_samples, total = len(remaining) - 1, 0.0
+    for n in range(len(before) - 1, -1, -1):
+        total += np.float64(before[n]) ** 2
+    total += remaining[0] - remaining[n_samples] - noise_power * n_samples + rest_energy
+    curve, scale = np.empty(n_samples), 1.0 / max(total, TINY_POWER)
     for n in range(n_samples):
-        energy[n] = remaining[n] - remaining[n_samples] - noise_power * (n_samples - n)
-    return energy
+        curve[n] = (remaining[n] - remaining[n_samples] - noise_power * (n_samples - n) + rest_energy) * scale
+    return curve, total
 
 
 @compiled
@@ -36,6 +50,16 @@ def first_below(curve: FloatArray, level: float) -> int:
         if curve[n] <= level:
             return n
     return len(curve)
+
+
+@compiled
+def slope_between(level_db: FloatArray, top_db: float, bottom_db: float) -> float:
+    """Return the slope per sample of a regression line from one level down to another; 0 if there are no 3 samples.
+
+    It is 0, too, if the level does not fall that far.
+    """
+    first, last = first_below(level_db, top_db), first_below(level_db, bottom_db)
+    return slope(level_db[first:last + 1]) if last < len(level_db) and last - first >= 2 else 0.0
 
 
 @compiled

@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 from roomeq.acoustics.band_energy import OCTAVES, Bands, energy_in_bands, energy_per_bin
-from roomeq.acoustics.decay_kernels import first_below, net_energy, slope, strongest_power
-from roomeq.acoustics.decibels import TINY_POWER, power_db
+from roomeq.acoustics.decay_kernels import decay_curve, first_below, slope_between, strongest_power
+from roomeq.acoustics.decibels import TINY_POWER, power_db, ratio_db
 from roomeq.acoustics.direct import find_direct
 from roomeq.acoustics.fade import length_before_fade
 from roomeq.acoustics.noise_intersection import (
@@ -43,6 +43,7 @@ from roomeq.acoustics.noise_intersection import (
 from roomeq.acoustics.octaves import LEAD_S, octave_bands, octave_fft_size, octave_width_hz
 from roomeq.core.arrays import Array, FloatArray
 from roomeq.core.constants import exact_bands_hz
+from roomeq.core.jit import compiled
 
 MIN_BT = 16.0
 """Smallest product of bandwidth and decay time for which the decay of the filter does not distort the result
@@ -120,36 +121,38 @@ def energy_decay(band: Array, fs_hz: float, direct_sample: float, *, bandwidth_h
     remaining = remaining_energy(after)
     intersection = (NoiseIntersection(len(after), 0.0, 0.0, is_flat=False) if noiseless
                     else find_noise_intersection(remaining, fs_hz, bandwidth_hz))
-    energy = net_energy(remaining[:intersection.sample + 1], intersection.noise_power) + intersection.rest_energy
-    total = energy[0] + remaining_energy(before)[0]
-    energy[0] = total
+    edc, total = decay_curve(before, remaining[:intersection.sample + 1], intersection.noise_power,
+                             intersection.rest_energy)
+    edc[0] = total / max(total, TINY_POWER)  # 1, without rounding: EDT begins there
     rest = max(intersection.rest_energy,
-               _unexplained_energy(remaining, intersection, fs_hz, bandwidth_hz or 0.5 * fs_hz))
-    range_db = float(power_db(total) - power_db(rest)) if rest > 0.0 else np.inf
+               _unexplained_energy(remaining, intersection.sample, intersection.noise_power, float(fs_hz),
+                                   float(bandwidth_hz or 0.5 * fs_hz)))
+    range_db = ratio_db(total, rest) if rest > 0.0 else np.inf
     if intersection.noise_power > 0.0 and intersection.rest_energy == 0.0:
         range_db = 0.0
     n_block = max(1, round(0.005 * fs_hz))
     floor_db = None
     if intersection.is_flat:
         first_power = np.square(after[:20 * n_block], dtype=np.float64)
-        floor_db = float(power_db(intersection.noise_power) - power_db(strongest_power(first_power, n_block)))
-    return Decay(energy / max(total, TINY_POWER), range_db, floor_db, intersection,
-                 float(remaining[intersection.sample]))
+        floor_db = ratio_db(intersection.noise_power, strongest_power(first_power, n_block))
+    return Decay(edc, range_db, floor_db, intersection, float(remaining[intersection.sample]))
 
 
-def _unexplained_energy(remaining: FloatArray, intersection: NoiseIntersection, fs_hz: float, bandwidth_hz: float
+@compiled
+def _unexplained_energy(remaining: FloatArray, sample: int, noise_power: float, fs_hz: float, bandwidth_hz: float
                         ) -> float:
-    """Return the largest energy within any time after the intersection that the noise does not explain.
+    """Return the largest energy within any time after the intersection, `sample`, that the noise does not explain.
 
     Noise may exceed its mean by `_NOISE_DEVIATIONS`, both there and in the last tenth, where it is measured. More is
     there where it ends the fitted decay too early: where its level fluctuates, as that of a fan or of traffic.
     """
-    n_block = round(_BLOCK_S * fs_hz)
-    beyond = remaining[intersection.sample::n_block]
-    length = n_block * np.arange(1.0, len(beyond))
-    deviation = np.sqrt(fs_hz / bandwidth_hz * (1.0 / length + 10.0 / (len(remaining) - 1)))
-    excess = beyond[0] - beyond[1:] - intersection.noise_power * length * (1.0 + _NOISE_DEVIATIONS * deviation)
-    return float(np.max(excess, initial=0.0))
+    n_block, most = round(_BLOCK_S * fs_hz), 0.0
+    for n in range(sample + n_block, len(remaining), n_block):
+        length = n - sample
+        deviation = np.sqrt(fs_hz / bandwidth_hz * (1.0 / length + 10.0 / (len(remaining) - 1)))
+        noise = noise_power * length * (1.0 + _NOISE_DEVIATIONS * deviation)
+        most = max(most, remaining[sample] - remaining[n] - noise)
+    return most
 
 
 def octave_decays(rir: FloatArray, fs_hz: float, direct_sample: float,
@@ -178,11 +181,7 @@ def decay_time(edc_db: FloatArray, fs_hz: float, decay: str) -> float | None:
     float or None
         Seconds; None if the curve does not fall to the lower end of the evaluation range.
     """
-    top_db, bottom_db = DECAYS_DB[decay]
-    first, last = first_below(edc_db, top_db), first_below(edc_db, bottom_db)
-    if last == len(edc_db) or last - first < 2:
-        return None
-    slope_db = slope(edc_db[first:last + 1])
+    slope_db = slope_between(edc_db, *DECAYS_DB[decay])
     return float(-60.0 / slope_db / fs_hz) if slope_db < 0.0 else None
 
 
@@ -225,71 +224,62 @@ def all_metrics(rir: FloatArray, fs_hz: float, direct_sample: float | None = Non
         direct_sample=float(direct_sample), direct_polarity=int(polarity),
         drr_db=_drr_db(rir, fs_hz, direct_sample, broadband.intersection),
         noise_intersection_s=broadband.intersection.sample / fs_hz, noise_floor_db=broadband.noise_floor_db)
-    parts = _Parts(rir, fs_hz)
-    rows = [_band_metrics(parts, band, decay, direct_sample)
-            for band, decay in enumerate(octave_decays(rir, fs_hz, direct_sample))]
+    curves = octave_decays(rir, fs_hz, direct_sample)
+    rows = [_band_metrics(fs_hz, *band) for band in zip(exact_bands_hz(fs_hz), curves,
+                                                        _c50_db(rir, fs_hz, direct_sample, curves), strict=True)]
     result.update({key: [row[key] for row in rows] for key in rows[0]})
     return result
 
 
-class _Parts:
-    """Energies of parts of a response in octave bands; each spectrum is computed once and serves all bands."""
-
-    def __init__(self, rir: FloatArray, fs_hz: float) -> None:
-        self.rir, self.fs_hz = rir, fs_hz
-        self._octaves = Bands(np.array(exact_bands_hz(fs_hz)), OCTAVES.quality)
-        self._computed: dict[tuple[int, int], FloatArray] = {}
-
-    def energy(self, first: int, last: int, band: int) -> float:
-        """Return the energy of samples `first` up to, but not including, `last` in octave number `band`."""
-        if (first, last) not in self._computed:
-            n_fft = octave_fft_size(last - first, self.fs_hz)
-            spectrum = energy_per_bin(self.rir[first:last], n_fft)
-            self._computed[first, last] = energy_in_bands(self._octaves, spectrum, n_fft, self.fs_hz)
-        return float(self._computed[first, last][band])
+def _octave_energies(part: FloatArray, fs_hz: float) -> FloatArray:
+    """Return the energy of a part of a response in each octave below half the sample rate, shape (n_bands,)."""
+    n_fft, octaves = octave_fft_size(len(part), fs_hz), Bands(np.array(exact_bands_hz(fs_hz)), OCTAVES.quality)
+    return energy_in_bands(octaves, energy_per_bin(part, n_fft), n_fft, fs_hz)
 
 
-def _band_metrics(parts: _Parts, band: int, curve: Decay, direct_sample: float) -> dict[str, Any]:
-    """Return the parameters of octave number `band` from its decay, and the validity of each."""
-    fs_hz = parts.fs_hz
-    edc_db = curve.down_to_db(LOWEST_DB)
-    times_s = {decay: decay_time(edc_db, fs_hz, decay) for decay in DECAYS_DB}
-    row: dict[str, Any] = {}
-    for decay, time_s in times_s.items():
-        # of a decay as short as the filter's, each time by itself would be valid where it is too long by chance; EDT
-        # may be short because of the direct sound, and tells nothing of the others
-        shortest_s = min(times_s[other] or np.inf for other in (decay, "t20", "t30"))
-        row[f"{decay}_s"] = time_s
-        row[f"{decay}_valid"] = bool(time_s is not None and curve.range_db >= NOISE_MARGIN_DB - DECAYS_DB[decay][1]
-                                     and exact_bands_hz(fs_hz)[band] * np.sqrt(0.5) * shortest_s > MIN_BT)
-    row["c50_db"] = _c50_db(parts, band, direct_sample, curve)
-    # C50 is early relative to late energy: if it is large, late energy is nearly C50 below the total; the noise must
-    # be below that by a margin
-    row["c50_valid"] = bool(row["c50_db"] is not None
-                            and curve.range_db >= NOISE_MARGIN_DB + max(NOISE_MARGIN_DB, row["c50_db"]))
-    row["band_noise_intersection_s"] = curve.intersection.sample / fs_hz
-    row["band_noise_floor_db"] = curve.noise_floor_db
-    row["decay_range_db"] = float(min(curve.range_db, 200.0))
-    return row
-
-
-def _c50_db(parts: _Parts, band: int, direct_sample: float, curve: Decay) -> float | None:
-    """Return the early-to-late energy ratio of one octave band; None if a part has no energy.
+def _c50_db(rir: FloatArray, fs_hz: float, direct_sample: float, curves: Sequence[Decay]) -> list[float | None]:
+    """Return the early-to-late energy ratio of each octave; None if a part has no energy.
 
     The response is divided before it is filtered, because the filter would spread energy over the boundary. What comes
     before the direct sound by more than `LEAD_S` is another sound, or noise. What comes after the intersection, where
     noise hides what the filter spreads, is taken off the filtered response, so that all octaves share a spectrum.
     """
-    boundary = round(direct_sample + EARLY_S * parts.fs_hz)
-    first = max(0, round(direct_sample - LEAD_S * parts.fs_hz))
-    end = round(direct_sample) + curve.intersection.sample
-    if end <= boundary:
-        return None
-    noise_power = curve.intersection.noise_power
-    early, late = (parts.energy(*part, band) for part in ((first, boundary), (boundary, len(parts.rir))))
-    late += curve.intersection.rest_energy - curve.beyond - (end - boundary) * noise_power
-    early -= (boundary - first) * noise_power
-    return float(power_db(early) - power_db(late)) if early > 0.0 and late > 0.0 else None
+    boundary = round(direct_sample + EARLY_S * fs_hz)
+    first = max(0, round(direct_sample - LEAD_S * fs_hz))
+    if boundary >= len(rir):
+        return [None] * len(curves)
+    ratios_db: list[float | None] = []
+    parts = (_octave_energies(rir[first:boundary], fs_hz), _octave_energies(rir[boundary:], fs_hz))
+    for curve, early, late in zip(curves, *(part.tolist() for part in parts), strict=True):
+        intersection = curve.intersection
+        n_late = round(direct_sample) + intersection.sample - boundary
+        late += intersection.rest_energy - curve.beyond - n_late * intersection.noise_power
+        early -= (boundary - first) * intersection.noise_power
+        ratios_db.append(ratio_db(early, late) if n_late > 0 and early > 0.0 and late > 0.0 else None)
+    return ratios_db
+
+
+def _band_metrics(fs_hz: float, band_hz: float, curve: Decay, c50_db: float | None) -> dict[str, Any]:
+    """Return the parameters of an octave from its decay and its C50, and the validity of each."""
+    edc_db = curve.down_to_db(LOWEST_DB)
+    times_s = {decay: decay_time(edc_db, fs_hz, decay) for decay in DECAYS_DB}
+    late_s, width_hz = min(times_s["t20"] or np.inf, times_s["t30"] or np.inf), band_hz * 0.5 ** 0.5
+    row: dict[str, Any] = {}
+    for decay, time_s in times_s.items():
+        # of a decay as short as the filter's, each time by itself would be valid where it is too long by chance; EDT
+        # may be short because of the direct sound, and tells nothing of the others
+        shortest_s = min(time_s or np.inf, late_s)
+        row[f"{decay}_s"] = time_s
+        row[f"{decay}_valid"] = (time_s is not None and curve.range_db >= NOISE_MARGIN_DB - DECAYS_DB[decay][1]
+                                 and width_hz * shortest_s > MIN_BT)
+    # C50 is early relative to late energy: if it is large, late energy is nearly C50 below the total; the noise must
+    # be below that by a margin
+    row["c50_db"] = c50_db
+    row["c50_valid"] = c50_db is not None and curve.range_db >= NOISE_MARGIN_DB + max(NOISE_MARGIN_DB, c50_db)
+    row["band_noise_intersection_s"] = curve.intersection.sample / fs_hz
+    row["band_noise_floor_db"] = curve.noise_floor_db
+    row["decay_range_db"] = min(curve.range_db, 200.0)
+    return row
 
 
 def _drr_db(rir: FloatArray, fs_hz: float, direct_sample: float, intersection: NoiseIntersection) -> float | None:
@@ -323,4 +313,4 @@ def _drr_db(rir: FloatArray, fs_hz: float, direct_sample: float, intersection: N
         missed = len(beyond) * (np.mean(beyond) - np.mean(at_end)) - intersection.rest_energy
         if missed > max(len(beyond) * scatter, largest_share * reverberant):
             return None
-    return float(power_db(direct) - power_db(reverberant))
+    return ratio_db(direct, reverberant)
