@@ -66,7 +66,6 @@ def find_direct(rir: ArrayLike, fs_hz: float, expected_sample: float | None = No
         The response is empty, not mono, silent or not finite, or nothing in it exceeds its noise.
     """
     h = checked_response(rir)
-    magnitude = np.abs(h)
     first, last = 0, len(h)
     if expected_sample is not None:
         first = max(0, int(np.floor(expected_sample - search_s * fs_hz)))
@@ -74,7 +73,7 @@ def find_direct(rir: ArrayLike, fs_hz: float, expected_sample: float | None = No
         if first >= last:
             raise ValueError(f"expected_sample={expected_sample:g} must lie in the response's {len(h)} samples: "
                              "correct the geometry, or leave it out where the time of flight is not in the file")
-    window = magnitude[first:last]
+    window = np.abs(h[first:last])
     quietest = quietest_rms(h, fs_hz)
     candidates = np.flatnonzero(window >= ONSET_FRACTION * window.max())
     noise = np.minimum(_rms_before(h, first + candidates, fs_hz), quietest)
@@ -84,7 +83,7 @@ def find_direct(rir: ArrayLike, fs_hz: float, expected_sample: float | None = No
                          f"{NOISE_FACTOR:g} times its noise, {quietest:.3g}: record it again")
     peak = first + _climb(window, int(reaches[0]), max(1, round(CLIMB_S * fs_hz)))
     polarity = 1 if h[peak] > 0 else -1
-    return DirectSound(_refine(polarity * h, peak), polarity)
+    return DirectSound(_refine(h, peak, polarity), polarity)
 
 
 def direct_of(row: RirRow, rir: FloatArray) -> DirectSound:
@@ -171,11 +170,12 @@ def _local_maximum(magnitude: FloatArray, start: int) -> int:
     return start
 
 
-def _refine(h: FloatArray, peak: int) -> float:
+def _refine(h: FloatArray, peak: int, polarity: int) -> float:
     """Return the position of a peak between samples, by a Hann-windowed sinc and a parabola on its fine grid."""
-    index = peak + _NEAR
-    values = np.where((index >= 0) & (index < len(h)), h[np.clip(index, 0, len(h) - 1)], 0.0)
-    fine = np.sum(_SINC * values, axis=1)
+    values, start = np.zeros(len(_NEAR)), peak - SINC_HALF_SAMPLES
+    near = h[max(0, start):start + len(_NEAR)]
+    values[max(0, -start):][:len(near)] = near
+    fine = polarity * np.sum(_SINC * values, axis=1)
     best = int(np.argmax(fine))
     shift = _OFFSETS[best]
     if 0 < best < len(_OFFSETS) - 1:

@@ -48,6 +48,15 @@ def length_before_zeros(rir: FloatArray) -> int:
     return n_samples
 
 
+@compiled
+def _power_of_change(rir: FloatArray) -> FloatArray:
+    """Return the squares of the differences between samples: these take out rumble, whose level scatters."""
+    power = np.empty(max(0, len(rir) - 1))
+    for n in range(len(power)):
+        power[n] = (rir[n + 1] - rir[n]) ** 2
+    return power
+
+
 def length_before_silence(rir: FloatArray, fs_hz: float) -> int:
     """Return the number of samples ahead of the silence at the end of a response.
 
@@ -61,7 +70,7 @@ def length_before_silence(rir: FloatArray, fs_hz: float) -> int:
         Sample rate.
     """
     n_samples = length_before_zeros(rir)
-    power = np.square(np.diff(rir[:n_samples]))  # the difference takes out rumble, whose level scatters
+    power = _power_of_change(rir[:n_samples])
     for block_s in _BLOCKS_S:
         n_block = round(block_s * fs_hz)
         n_blocks = min(n_samples, len(power)) // n_block
@@ -149,7 +158,7 @@ def length_before_fade(rir: FloatArray, fs_hz: float, direct_sample: float) -> i
         Arrival time of the direct sound in samples.
     """
     rir, start = rir[:length_before_silence(rir, fs_hz)], max(0, round(direct_sample))
-    power = np.square(np.diff(rir[start:]))  # the difference takes out rumble, whose level scatters
+    power = _power_of_change(rir[start:])
     n_samples = len(power)
     if n_samples < 10.0 * _SHORTEST_PART_S * fs_hz or _bend_db(power) < _FADED_DB:
         return len(rir)
@@ -163,6 +172,6 @@ def length_before_fade(rir: FloatArray, fs_hz: float, direct_sample: float) -> i
 
 def _bend_db(power: FloatArray) -> float:
     """Return by how much more the level falls into the last tenth than from tenth to tenth of the four before."""
-    edges = len(power) - len(power) // 10 * np.arange(5, -1, -1)
-    first, _, _, before, last = power_db(np.array([power[a:b].mean() for a, b in zip(edges, edges[1:], strict=False)]))
+    n_tenth = len(power) // 10
+    first, _, _, before, last = power_db(power[len(power) - 5 * n_tenth:].reshape(5, n_tenth).mean(axis=1))
     return float((before - last) - (first - before) / 3.0)

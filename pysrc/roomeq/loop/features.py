@@ -204,7 +204,8 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     _put(values, valid, "arrival", np.array([direct / FS_HZ]), np.array([timed]))
     # a rendering is excited at all frequencies
     band_hz = (excited_from_hz(rir), excited_to_hz(rir)) if white is None else (0.0, NO_END_HZ)
-    noise = _noise_density(rir, metrics, band_hz)
+    has_response = excited(*band_hz)[feature_slice("early")]
+    noise = _noise_density(rir, metrics, has_response)
     levels = _levels(rir, direct, metrics, noise)
     whole = {metric: np.ones(len(level_db), dtype=bool) for metric, (level_db, _) in levels.items()}
     if white is None and length_before_zeros(rir) < direct + LATE_S * FS_HZ:  # a rendering ends when its decay is over
@@ -222,7 +223,7 @@ def measure_features(rir: Array, expected_sample: float | None = None, *, timed:
     behind = _behind(noise, white, per_energy)
     end_level = behind.floor_db
     if end is not None and end < len(rir):
-        end_level = _behind(_noise_density(rir[:end], metrics, band_hz), behind.white, per_energy).floor_db
+        end_level = _behind(_noise_density(rir[:end], metrics, has_response), behind.white, per_energy).floor_db
     _put(values, valid, "floor", behind.floor_db, behind.known[OCTAVE_OF_THIRD])
     _put(values, valid, "ahead", *_ahead(rir, direct, behind, per_energy, 0.0 if is_recording else behind.white))
     if is_recording:
@@ -259,16 +260,15 @@ def _put(values: FloatArray, valid: BoolArray, metric: str, amounts: FloatArray,
     valid[feature_slice(metric)] = is_valid
 
 
-def _noise_density(rir: FloatArray, metrics: dict, band_hz: tuple[float, float]) -> _Noise:
+def _noise_density(rir: FloatArray, metrics: dict, has_response: BoolArray) -> _Noise:
     """Return the energy per sample at the end of a response, where only noise is left as a rule.
 
-    Octaves outside the excitation's band have no response, and what is in them says nothing of the noise.
+    Octaves that the excitation does not reach have no response, and what is in them says nothing of the noise.
     """
     last = length_before_zeros(rir)
     intersections = np.array(metrics["band_noise_intersection_s"]) * FS_HZ + metrics["direct_sample"]
     start = max(int(0.9 * last), min(last, int(intersections.max())))
     start = min(start, last - int(0.05 * FS_HZ)) if last > int(0.2 * FS_HZ) else int(0.9 * last)
-    has_response = excited(*band_hz)[feature_slice("early")]
     seen = has_response & [floor_db is not None for floor_db in metrics["band_noise_floor_db"]]
     possible = has_response & (intersections < last - 1)
     part = rir[start:last]
