@@ -4,13 +4,9 @@ Each ray leaves the source with an equal share of its power. At a surface it con
 probability equal to the scattering coefficient, diffusely (Lambert's law). No absorption is applied, so one trace
 serves all receivers and all absorption coefficients; bands with equal scattering share a trace.
 
-Once reflections are denser than samples, far more paths arrive than a smooth decay needs. From then on, rays that would
-carry little energy with materials like the expected ones play Russian roulette (Arvo and Kirk, SIGGRAPH 1990, 63): half
-of them end, and the others represent two. The rays that remain carry about equal energies, so that few of them describe
-the late decay. The result is unbiased for any absorption, and least noisy near the expected one.
-
-Roulette ends rays, and changes the way of none. Where a source is needed for several expected absorptions, its rays are
-traced once without it, and play it for each: the paths are the same as of a trace for this absorption.
+Late rays play Russian roulette (`roomeq.sim.roulette`), which ends rays, and changes the way of none. Where a source is
+needed for several expected absorptions, its rays are traced once without it, and play it for each: the paths are the
+same as of a trace for this absorption.
 """
 
 from dataclasses import dataclass, replace
@@ -22,21 +18,15 @@ from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number, Numbers
 from roomeq.core.jit import compiled, for_chunks, inlined, mix, uniform
+from roomeq.sim.box_trace import trace_box
 from roomeq.sim.room import Room
+from roomeq.sim.roulette import Roulette, play_at, roulette_for
 from roomeq.sim.tree import BEHIND_M, FRONTS, Tree, first_hit, memory
 
 if TYPE_CHECKING:
     from roomeq.sim.mesh import MeshRoom
 
-LATE_RAYS = 5000
-"""Rays that remain in a diffuse field once reflections are dense, if there are so many."""
-MAX_SHARE = 4.0
-"""Largest energy of a late ray that has lost as much as a diffuse field, in units of that of an early one."""
 _LATE_RATE_HZ = 16000.0
-_FAIR_BITS = 8  # of the number of a ray
-_LOG_2 = float(np.log(2.0))
-_LEAST_ENERGY = 1e-8  # of a diffuse field, at which rays end whatever their number
-_LOG_LEAST = float(np.log(_LEAST_ENERGY))
 GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
 
 
@@ -112,27 +102,6 @@ class _Known(NamedTuple):
     counts: Array
 
 
-class Roulette(NamedTuple):
-    """When a ray plays Russian roulette.
-
-    Attributes
-    ----------
-    late_m
-        Only beyond this length of path.
-    log_reflected
-        Logarithm of the energy that is expected to be reflected by each face, shape (n_faces,).
-    decay_per_m
-        Of the logarithm of the expected energy in a diffuse field, by Eyring's formula.
-    log_share
-        Logarithm of the least energy of a ray, relative to that of a diffuse field, that is spared.
-    """
-
-    late_m: float
-    log_reflected: FloatArray
-    decay_per_m: float
-    log_share: float
-
-
 def sphere_directions(n_rays: int, rng: np.random.Generator) -> FloatArray:
     """Return evenly distributed unit vectors, a Fibonacci lattice in a random orientation, shape (n_rays, 3).
 
@@ -182,7 +151,7 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
     seed = np.uint64(rng.integers(2 ** 63))
     late_m = late_after_s(room.volume_m3, speed_m_s) * speed_m_s
     faces = room.walls or cast("MeshRoom", room)
-    roulette = _roulette(room, 0.0 if absorption is None else absorption, num_rays, faces.face_surface,
+    roulette = roulette_for(room, 0.0 if absorption is None else absorption, num_rays, faces.face_surface,
                          np.inf if absorption is None else late_m)
     how = source_pos_m, directions, scattering[faces.face_surface], max_length_m, roulette, seed
     known = (_Known(like.codes, like.first, like.counts) if like is not None else
@@ -214,7 +183,7 @@ def play_roulette(paths: Paths, room: Room, absorption: ArrayLike, max_length_m:
     if max_length_m > paths.max_length_m:
         raise ValueError(f"max_length_m={max_length_m} must be at most that of the paths, {paths.max_length_m}: trace "
                          "them further")
-    roulette = _roulette(room, absorption, len(paths.counts), paths.face_surface, paths.late_m)
+    roulette = roulette_for(room, absorption, len(paths.counts), paths.face_surface, paths.late_m)
     codes, counts = np.zeros_like(paths.codes), np.empty_like(paths.counts)
     n_leaked = for_chunks(len(counts), lambda chunk, low, high: _end_rays(
         paths.hits, paths.codes, paths.first, paths.counts, roulette, paths.seed, max_length_m, low, high, codes,
@@ -226,14 +195,6 @@ def bytes_per_reflection(room: Room) -> int:
     """Return the memory of a reflection that was traced without roulette, with its code after roulette."""
     faces = room.walls or cast("MeshRoom", room)
     return 16 + 2 * np.dtype(_code_type(len(faces.normals))).itemsize
-
-
-def _roulette(room: Room, absorption: ArrayLike, num_rays: int, face_surface: IntArray, late_m: float) -> Roulette:
-    area_m2 = room.surface_area_m2
-    reflected = np.maximum(1.0 - np.broadcast_to(absorption, area_m2.shape), _LEAST_ENERGY)
-    decay_per_m = -np.log(area_m2 @ reflected / area_m2.sum()) * area_m2.sum() / (4.0 * room.volume_m3)
-    return Roulette(late_m, np.log(reflected)[face_surface], float(decay_per_m),
-                    float(np.log(np.clip(num_rays / LATE_RAYS, 1.0, MAX_SHARE))))
 
 
 def late_after_s(volume_m3: float, speed_m_s: float) -> float:
@@ -271,7 +232,7 @@ def _trace_rays(room: Room, mean_free_path_m: float, known: _Known, source: Floa
                                                   counts)
             elif box is not None:
                 low_m, high_m, wall_of_side = box
-                n_stored, n_leaked = _trace_box(low_m, high_m, wall_of_side, *how, capacity, hits, codes, counts), 0
+                n_stored, n_leaked = trace_box(low_m, high_m, wall_of_side, *how, capacity, hits, codes, counts), 0
             else:
                 n_stored, n_leaked = _trace_planes(walls.normals, walls.offsets, *how, hits, codes, counts)
             if n_stored >= 0:  # the rest is memory for the next chunk, and fast
@@ -307,32 +268,6 @@ def reflect(normals: Array, face: Number, scattering: Number, stream: Number, n:
 
 
 @inlined
-def _play_roulette(roulette: Roulette, ray: Number, stream: Number, n: Number, length: Number, log_energy: Number,
-                   plays: Number) -> Numbers:
-    """Let a ray play Russian roulette at reflection `n`, if it carries too little energy to be followed otherwise.
-
-    The order of the rays is random, so that the bits of a ray's number are fair coins; and where all rays play, exactly
-    half of them end.
-
-    Returns
-    -------
-    represents_two, ends : bool
-    log_energy : float
-        From this reflection on.
-    plays : int
-        How often the ray has survived.
-    """
-    if length <= roulette.late_m:
-        return False, False, log_energy, plays
-    diffuse_field = max(-roulette.decay_per_m * length, _LOG_LEAST)
-    if log_energy >= roulette.log_share + diffuse_field:
-        return False, False, log_energy, plays
-    if (ray >> plays) & 1 == 1 if plays < _FAIR_BITS else uniform(stream, 4 * n + 3) < 0.5:
-        return True, False, log_energy + _LOG_2, plays + 1
-    return False, True, log_energy, plays
-
-
-@inlined
 def _store(hits: Array, codes: Array, stored: Number, position: Numbers, length: Number, face: Number, diffuse: Number,
            end_m: Number, roulette: Roulette, ray: Number, stream: Number, n: Number, log_energy: Number,
            plays: Number) -> Numbers:
@@ -342,11 +277,11 @@ def _store(hits: Array, codes: Array, stored: Number, position: Numbers, length:
     -------
     ends : bool
     log_energy, plays
-        As of `_play_roulette`.
+        As of `roomeq.sim.roulette.play_at`.
     """
     hit = hits[stored]
     hit[0], hit[1], hit[2], hit[3] = position[0], position[1], position[2], length
-    represents_two, ends, log_energy, plays = _play_roulette(
+    represents_two, ends, log_energy, plays = play_at(
         roulette, ray, stream, n, np.float64(hit[3]), log_energy + roulette.log_reflected[face], plays)
     codes[stored] = 4 * face + 2 * represents_two + diffuse
     return ends or hit[3] > end_m, log_energy, plays
@@ -362,7 +297,7 @@ def _end_rays(hits: Array, codes: Array, first: Array, counts: Array, roulette: 
         log_energy, plays, at, end, ends = 0.0, 0, first[ray], first[ray] + counts[ray], False
         while at < end and not ends:
             length = np.float64(hits[at, 3])
-            represents_two, ends, log_energy, plays = _play_roulette(
+            represents_two, ends, log_energy, plays = play_at(
                 roulette, ray, stream, at - first[ray], length, log_energy + roulette.log_reflected[codes[at] >> 2],
                 plays)
             new_codes[at] = codes[at] + 2 * represents_two
@@ -371,66 +306,6 @@ def _end_rays(hits: Array, codes: Array, first: Array, counts: Array, roulette: 
         new_counts[ray] = at - first[ray]
         n_leaked += not ends
     return n_leaked
-
-
-@inlined
-def _to_wall(position: Number, way: Number, low: Number, high: Number) -> Numbers:
-    """Return the distances along a ray [m] to the wall ahead, and from one wall to the other, along one axis."""
-    per_m = 1.0 / max(abs(way), 1e-30)
-    return (high - position if way > 0.0 else position - low) * per_m, (high - low) * per_m
-
-
-@compiled
-def _trace_box(low_m: Array, high_m: Array, face_of_side: Array, source: Array, directions: Array, scattering: Array,
-               end_m: Number, roulette: Roulette, seed: Number, low: Number, high: Number, capacity: Number,
-               hits: Array, codes: Array, counts: Array) -> int:
-    """Trace rays `low` to `high` in a box along the axes, as `_trace_planes` does and twice as fast."""
-    x0, y0, z0, x1, y1, z1 = low_m[0], low_m[1], low_m[2], high_m[0], high_m[1], high_m[2]
-    stored = 0
-    for ray in range(low, high):
-        stream = mix(seed + np.uint64(ray))
-        x, y, z = source[0], source[1], source[2]
-        u, v, w = directions[ray, 0], directions[ray, 1], directions[ray, 2]
-        (to_x, across_x), (to_y, across_y) = _to_wall(x, u, x0, x1), _to_wall(y, v, y0, y1)
-        to_z, across_z = _to_wall(z, w, z0, z1)
-        length, log_energy, plays, n, ends = 0.0, 0.0, 0, 0, False
-        while not ends and n < capacity:
-            axis, distance, up = (0, to_x, u > 0.0) if to_x < to_y else (1, to_y, v > 0.0)
-            if to_z < distance:
-                axis, distance, up = 2, to_z, w > 0.0
-            distance = max(distance, 0.0)
-            face = face_of_side[axis, 1 if up else 0]
-            x, y, z, length = x + distance * u, y + distance * v, z + distance * w, length + distance
-            diffuse = uniform(stream, 4 * n) < scattering[face]
-            if diffuse:
-                rise, sign = 1.0 - 2.0 * uniform(stream, 4 * n + 1), -1.0 if up else 1.0
-                radius = np.sqrt(max(0.0, 1.0 - rise * rise))
-                angle = 2.0 * np.pi * uniform(stream, 4 * n + 2)
-                a, b = radius * np.cos(angle), radius * np.sin(angle)
-                if axis == 0:
-                    x, u, v, w = x1 if up else x0, sign + a, b, rise
-                elif axis == 1:
-                    y, u, v, w = y1 if up else y0, a, sign + b, rise
-                else:
-                    z, u, v, w = z1 if up else z0, a, b, sign + rise
-                scale = 1.0 / np.sqrt(max(u * u + v * v + w * w, 1e-20))
-                u, v, w = u * scale, v * scale, w * scale
-                (to_x, across_x), (to_y, across_y) = _to_wall(x, u, x0, x1), _to_wall(y, v, y0, y1)
-                to_z, across_z = _to_wall(z, w, z0, z1)
-            else:
-                to_x, to_y, to_z = to_x - distance, to_y - distance, to_z - distance
-                if axis == 0:
-                    x, u, to_x = x1 if up else x0, -u, across_x
-                elif axis == 1:
-                    y, v, to_y = y1 if up else y0, -v, across_y
-                else:
-                    z, w, to_z = z1 if up else z0, -w, across_z
-            ends, log_energy, plays = _store(hits, codes, stored, (x, y, z), length, face, diffuse, end_m,
-                                             roulette, ray, stream, n, log_energy, plays)
-            stored += 1
-            n += 1
-        counts[ray] = n
-    return stored
 
 
 @inlined
