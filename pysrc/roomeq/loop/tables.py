@@ -16,14 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray
-from roomeq.loop.contributions import (
-    Rays,
-    Receiver,
-    add_contributions,
-    by_direction,
-    nearest_directions,
-    walk_rays,
-)
+from roomeq.loop.contributions import Rays, Receiver, add_contributions, by_direction, nearest_directions, walk_rays
 from roomeq.loop.traces import StoredArray
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.mesh import MeshRoom

@@ -47,6 +47,20 @@ class Roulette(NamedTuple):
 
 
 def roulette_for(room: Room, absorption: ArrayLike, num_rays: int, face_surface: IntArray, late_m: float) -> Roulette:
+    """Return when rays play, beyond `late_m` of path, if surfaces absorb as expected.
+
+    Parameters
+    ----------
+    room
+    absorption
+        That is expected of each surface, shape (n_surfaces,) or one for all.
+    num_rays
+        From the source.
+    face_surface
+        Surface of each face, shape (n_faces,).
+    late_m
+        See `Roulette`.
+    """
     area_m2 = room.surface_area_m2
     reflected = np.maximum(1.0 - np.broadcast_to(absorption, area_m2.shape), _LEAST_ENERGY)
     decay_per_m = -np.log(area_m2 @ reflected / area_m2.sum()) * area_m2.sum() / (4.0 * room.volume_m3)
@@ -63,7 +77,7 @@ def plays_at(roulette: Roulette, length: Number, log_energy: Number) -> Number:
 
 @inlined
 def play_at(roulette: Roulette, ray: Number, stream: Number, n: Number, length: Number, log_energy: Number,
-                   plays: Number) -> Numbers:
+            plays: Number) -> Numbers:
     """Let a ray play Russian roulette at reflection `n`, if it carries too little energy to be followed otherwise.
 
     The order of the rays is random, so that the bits of a ray's number are fair coins; and where all rays play, exactly

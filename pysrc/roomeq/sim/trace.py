@@ -152,7 +152,7 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
     late_m = late_after_s(room.volume_m3, speed_m_s) * speed_m_s
     faces = room.walls or cast("MeshRoom", room)
     roulette = roulette_for(room, 0.0 if absorption is None else absorption, num_rays, faces.face_surface,
-                         np.inf if absorption is None else late_m)
+                            np.inf if absorption is None else late_m)
     how = source_pos_m, directions, scattering[faces.face_surface], max_length_m, roulette, seed
     known = (_Known(like.codes, like.first, like.counts) if like is not None else
              _Known(np.empty(0, _code_type(len(faces.normals))), np.zeros(num_rays, np.int64),
