@@ -11,19 +11,10 @@ import numpy as np
 from roomeq.core.arrays import Array, BoolArray, FloatArray, IntArray, Number, Numbers
 from roomeq.core.jit import compiled, inlined
 from roomeq.sim.paths import BEHIND, SEEN, Rules, at_source, follow, segment_counts
-from roomeq.sim.trace import Paths
+from roomeq.sim.trace import Paths, Reflections
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _INVERSE_PI = np.float32(1.0 / np.pi)
-
-
-class Rays(NamedTuple):
-    """Traced rays, as `roomeq.sim.trace.Paths` stores them."""
-
-    hits: Array
-    codes: Array
-    first: IntArray
-    n_hits: IntArray
 
 
 class Walk(NamedTuple):
@@ -127,13 +118,13 @@ def _walk(rules: Rules, hits: Array, codes: Array, first: IntArray, n_hits: IntA
 
 
 @compiled
-def add_contributions(rays: Rays, walk: Walk, receiver: Receiver, counts: FloatArray
+def add_contributions(rays: Reflections, walk: Walk, receiver: Receiver, counts: FloatArray
                       ) -> tuple[Array, Array, IntArray]:
     """Add the contributions of all rays to `counts`, and list them.
 
     Parameters
     ----------
-    rays : Rays
+    rays : roomeq.sim.trace.Reflections
     walk : Walk
     receiver : Receiver
     counts : ndarray, shape (n_frames, n_reflections, n_shares)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomeq.core.arrays import Array, BoolArray, FloatArray
-from roomeq.loop.contributions import Rays, Receiver, add_contributions, by_direction, nearest_directions, walk_rays
+from roomeq.loop.contributions import Receiver, add_contributions, by_direction, nearest_directions, walk_rays
 from roomeq.loop.traces import StoredArray
 from roomeq.sim.echogram import FRAME_S
 from roomeq.sim.mesh import MeshRoom
@@ -120,7 +120,6 @@ def collect(traced: TracedSource, mics_m: ArrayLike) -> list[tuple[Table, Array]
     frame_of_tick = np.searchsorted(edges_s, (np.arange(int(edges_s[-1] / _TICK_S)) + 0.5) * _TICK_S) - 1
     shape = len(edges_s) - 1, int(paths.counts.max()) + 1, len(LEVEL_SHARES)
     radii_m, volumes_m3 = receiver_spheres(room, mics_m)
-    rays = Rays(paths.hits, paths.codes, paths.first, paths.counts)
     walk = walk_rays(paths, level_surfaces(room)[paths.face_surface], len(LEVEL_SHARES))
     cell = nearest_directions(paths.directions, _CELLS)
     tables = []
@@ -131,7 +130,7 @@ def collect(traced: TracedSource, mics_m: ArrayLike) -> list[tuple[Table, Array]
                             np.float32(radii_m[m]), np.float32(1.0 / volumes_m3[m]), np.float32(distance_m),
                             np.float32(1.0 / (speed_m_s * _TICK_S)), (shape[1] * frame_of_tick).astype(np.int32))
         counts = np.zeros(shape)
-        place, amount, end = add_contributions(rays, walk, receiver, counts)
+        place, amount, end = add_contributions(paths.reflections, walk, receiver, counts)
         filled = np.flatnonzero(counts.any(axis=2))
         departed = by_direction(place, amount, end, cell, _N_CELLS, filled, counts[:, :, 0].size)
         entries = np.stack(np.divmod(filled, counts.shape[1]), axis=1).astype(np.int32)

@@ -30,6 +30,15 @@ _LATE_RATE_HZ = 16000.0
 GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
 
 
+class Reflections(NamedTuple):
+    """The stored reflections of rays, for kernels; see `Paths`."""
+
+    hits: Array
+    codes: Array
+    first: IntArray
+    counts: Array
+
+
 @dataclass(frozen=True)
 class Paths:
     """The reflections of the rays of one source.
@@ -83,23 +92,10 @@ class Paths:
     n_leaked: int
     seed: np.uint64
 
-
-class _Traced(NamedTuple):
-    """Stored reflections; see `Paths`."""
-
-    hits: Array
-    codes: Array
-    first: IntArray
-    counts: Array
-    n_leaked: int
-
-
-class _Known(NamedTuple):
-    """`codes`, `first` and `counts` of another trace, whose rays may have come the same way."""
-
-    codes: Array
-    first: IntArray
-    counts: Array
+    @property
+    def reflections(self) -> Reflections:
+        """The stored reflections."""
+        return Reflections(self.hits, self.codes, self.first, self.counts)
 
 
 def sphere_directions(n_rays: int, rng: np.random.Generator) -> FloatArray:
@@ -154,12 +150,13 @@ def trace(room: Room, source_pos_m: ArrayLike, scattering: ArrayLike, *, num_ray
     roulette = roulette_for(room, 0.0 if absorption is None else absorption, num_rays, faces.face_surface,
                             np.inf if absorption is None else late_m)
     how = source_pos_m, directions, scattering[faces.face_surface], max_length_m, roulette, seed
-    known = (_Known(like.codes, like.first, like.counts) if like is not None else
-             _Known(np.empty(0, _code_type(len(faces.normals))), np.zeros(num_rays, np.int64),
-                    np.zeros(num_rays, np.int32)))
-    traced = _trace_rays(room, 4.0 * room.volume_m3 / float(room.surface_area_m2.sum()), known, *how)
-    return Paths(source_pos_m, directions, traced.hits, traced.codes, traced.first, faces.normals, faces.face_surface,
-                 faces.curved, traced.counts, scattering, late_m, max_length_m, traced.n_leaked, seed)
+    known = like.reflections if like is not None else Reflections(
+        np.empty((0, 4), np.float32), np.empty(0, _code_type(len(faces.normals))), np.zeros(num_rays, np.int64),
+        np.zeros(num_rays, np.int32))
+    mean_free_path_m = 4.0 * room.volume_m3 / float(room.surface_area_m2.sum())
+    (hits, codes, first, counts), n_leaked = _trace_rays(room, mean_free_path_m, known, *how)
+    return Paths(source_pos_m, directions, hits, codes, first, faces.normals, faces.face_surface, faces.curved, counts,
+                 scattering, late_m, max_length_m, n_leaked, seed)
 
 
 def play_roulette(paths: Paths, room: Room, absorption: ArrayLike, max_length_m: float) -> Paths:
@@ -211,8 +208,9 @@ def _code_type(n_faces: int) -> type[np.uint8] | type[np.uint32]:
     return np.uint8 if n_faces < 64 else np.uint32
 
 
-def _trace_rays(room: Room, mean_free_path_m: float, known: _Known, source: FloatArray, directions: FloatArray,
-                scattering: FloatArray, end_m: float, roulette: Roulette, seed: np.uint64) -> _Traced:
+def _trace_rays(room: Room, mean_free_path_m: float, known: Reflections, source: FloatArray, directions: FloatArray,
+                scattering: FloatArray, end_m: float, roulette: Roulette, seed: np.uint64
+                ) -> tuple[Reflections, int]:
     walls, n_rays = room.walls, len(directions)
     code_type = _code_type(len(scattering))
     counts = np.empty(n_rays, dtype=np.int32)
@@ -240,7 +238,7 @@ def _trace_rays(room: Room, mean_free_path_m: float, known: _Known, source: Floa
             capacity *= 2
 
     hits, codes, leaked = zip(*for_chunks(n_rays, trace_chunk), strict=True)
-    return _Traced(np.concatenate(hits), np.concatenate(codes), _first_of_rays(counts), counts, sum(leaked))
+    return Reflections(np.concatenate(hits), np.concatenate(codes), _first_of_rays(counts), counts), sum(leaked)
 
 
 def _first_of_rays(counts: Array) -> IntArray:
@@ -366,7 +364,7 @@ def _trace_planes(normals: Array, offsets: Array, source: Array, directions: Arr
 
 
 @compiled
-def _trace_faces(tree: Tree, normals: Array, offsets: Array, known: _Known, source: Array, directions: Array,
+def _trace_faces(tree: Tree, normals: Array, offsets: Array, known: Reflections, source: Array, directions: Array,
                  scattering: Array, end_m: Number, roulette: Roulette, seed: Number, low: Number, high: Number,
                  hits: Array, codes: Array, counts: Array) -> Numbers:
     """Trace rays `low` to `high` between many faces, as `_trace_planes` does between few."""
