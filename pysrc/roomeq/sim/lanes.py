@@ -18,6 +18,7 @@ from roomeq.core.arrays import Array, Number, Numbers
 WIDTH = 8
 instructions: Any = intrinsic  # for type checkers: what it decorates is called without the first argument
 _BITS = ir.IntType(WIDTH)
+_FUSED = ("contract",)  # a product and a sum may become one instruction; not for distances, whose bits are stored
 
 
 class _Lanes:
@@ -58,11 +59,11 @@ class _Lanes:
     def most(self, a: Any, b: Any) -> Any:
         return self.builder.select(self.builder.fcmp_ordered(">", a, b), a, b)
 
-    def dot(self, row: Callable[[Any], Any], first: int, vector: Any) -> Any:
+    def dot(self, row: Callable[[Any], Any], first: int, vector: Any, flags: Any = ()) -> Any:
         """Return the sum of three rows times three vectors."""
-        x, y, z = (self.builder.fmul(self.load(row(ir.Constant(cgutils.intp_t, first + n))), vector[n])
+        x, y, z = (self.builder.fmul(self.load(row(ir.Constant(cgutils.intp_t, first + n))), vector[n], flags=flags)
                    for n in range(3))
-        return self.builder.fadd(self.builder.fadd(x, y), z)
+        return self.builder.fadd(self.builder.fadd(x, y, flags=flags), z, flags=flags)
 
     def bits(self, lanes: Any) -> Any:
         """Return eight truth values as the bits of a number."""
@@ -141,9 +142,10 @@ def meet_faces(typing: Any, planes: Array, origin: Numbers, way: Numbers, least_
         ahead = builder.fadd(builder.fmul(height, approach), builder.fmul(behind_m, size))
         met = builder.and_(builder.fcmp_ordered(">", approach, least_approach),
                            builder.fcmp_ordered(">", ahead, lanes.constant(0.0)))
-        point = [builder.fadd(start, builder.fmul(distance, along)) for start, along in zip(origin, way, strict=True)]
+        point = [builder.fadd(start, builder.fmul(distance, along, flags=_FUSED), flags=_FUSED)
+                 for start, along in zip(origin, way, strict=True)]
         for edge in (4, 8, 12, 16):
-            met = builder.and_(met, builder.fcmp_ordered(">", lanes.dot(row, edge, point), offset(edge)))
+            met = builder.and_(met, builder.fcmp_ordered(">", lanes.dot(row, edge, point, _FUSED), offset(edge)))
         lanes.store(distance, reach)
         return lanes.bits(met)
 

@@ -18,6 +18,7 @@ from roomeq.core.jit import compiled, for_chunks, inlined
 from roomeq.sim.lanes import WIDTH, lowest, meet_boxes, meet_faces
 
 _BINS = 16
+_CACHE_LINE = 64  # bytes
 EDGE_M = 1e-6  # by which faces overlap, so that no ray passes between two of them
 _TOUCH_M = 1e-4  # from its end, where a line may touch a face
 _WIDER = 2e-6  # by which boxes are wider, of the largest coordinate: single precision rounds to a thirtieth of that
@@ -87,8 +88,17 @@ def make_tree(triangles: FloatArray, normals: FloatArray, face_surface: IntArray
     planes = np.concatenate([normals, offsets[:, None], four.reshape(-1, 16)], axis=1)
     faces = faces[:n_leaves].copy()
     of_leaves = np.where((faces >= 0)[:, :, None], planes[faces], 0.0).transpose(0, 2, 1)
-    return Tree(bounds[:n_nodes].copy(), children[:n_nodes].copy(), np.ascontiguousarray(of_leaves), faces,
+    return Tree(_aligned(bounds[:n_nodes]), children[:n_nodes].copy(), _aligned(of_leaves), faces,
                 (WIDTH - 1) * depth + 1)
+
+
+def _aligned(values: Array) -> Array:
+    """Return a copy whose rows of eight numbers each lie in one line of the processor's cache, which is faster."""
+    memory = np.empty(values.nbytes + _CACHE_LINE, np.uint8)
+    start = -memory.ctypes.data % _CACHE_LINE
+    copy = memory[start:start + values.nbytes].view(values.dtype).reshape(values.shape)
+    copy[...] = values
+    return copy
 
 
 def find_quadrangles(triangles: FloatArray, normals: FloatArray, offsets: FloatArray,
