@@ -164,10 +164,15 @@ class MeshRoom:
 
         Both triangles of a quadrangle must be seen: rays find one face of them (`tree`).
         """
-        seen = triangles_in_sight(self.triangles, self.normals, points_m)
         first, second = self._quadrangles
-        seen[:, first] = seen[:, second] = seen[:, first] & seen[:, second]
-        return seen
+
+        def search(point_m: FloatArray) -> BoolArray:
+            seen = triangles_in_sight(self.triangles, self.normals, point_m)
+            seen[first] = seen[second] = seen[first] & seen[second]
+            return seen
+
+        return np.array([self.remember("in_sight", tuple(map(float, point_m)), KEPT_POINTS, partial(search, point_m))
+                         for point_m in points_m])
 
     def surroundings(self, point_m: ArrayLike) -> FloatArray | None:
         """Return the distance [m] to the surfaces in `_SPHERE_RAYS` evenly spread directions; None outside the air."""

@@ -20,6 +20,7 @@ from roomeq.sim.paths import reflection_visibility
 from roomeq.sim.response import simulate_responses, trace_source
 from roomeq.sim.scene import Air, Material, Scene, Shoebox
 from roomeq.sim.trace import trace
+from roomeq.sim.tree import find_quadrangles
 
 DIMS_M = (6.0, 4.0, 3.0)
 C = Air().speed_m_s
@@ -321,6 +322,22 @@ def test_no_shadow_ray_is_needed_from_faces_that_are_in_sight(write_obj, monkeyp
     assert 0.3 < in_sight.mean() < 0.9
     monkeypatch.setattr(MeshRoom, "faces_in_sight", lambda *_: np.zeros_like(in_sight))
     np.testing.assert_array_equal(reflection_visibility(rays, room, mics_m, max_path_m=60.0), seen)
+
+
+def test_faces_in_sight_are_those_that_are_seen_as_a_whole(write_obj):
+    """No other one is found, and none is missed. The floor is left out, of which a part lies inside the body."""
+    room = load_mesh(write_obj(with_body(prism_obj(L_PLAN, 3.0), box_plan(0.5, 0.5, 1.0, 1.0))))
+    rng = np.random.default_rng(1)
+    mics_m = rng.uniform((0.2, 0.2, 1.2), (5.8, 1.8, 2.8), (6, 3))
+    share = rng.dirichlet(np.ones(3), 1000)
+    seen = np.array([[np.all(room.sees(share @ corners + 1e-4 * normal, mic_m))
+                      for corners, normal in zip(room.triangles, room.normals, strict=True)] for mic_m in mics_m])
+    of_one_face = find_quadrangles(room.triangles, room.normals, room.offsets, room.face_surface)[:2]
+    for first, second in zip(*of_one_face, strict=True):
+        seen[:, [first, second]] = np.all(seen[:, [first, second]], axis=1, keepdims=True)
+    above_floor = room.triangles[:, :, 2].max(axis=1) > 0.0
+    np.testing.assert_array_equal(room.faces_in_sight(mics_m)[:, above_floor], seen[:, above_floor])
+    assert 0.2 < seen[:, above_floor].mean() < 0.8
 
 
 def test_energy_is_conserved_in_room_with_table(write_obj):
