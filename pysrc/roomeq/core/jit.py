@@ -8,6 +8,7 @@ import contextlib
 import logging
 import os
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -27,6 +28,7 @@ N_CHUNKS = 8
 os.environ["NUMBA_SLP_VECTORIZE"] = "1"
 config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
 
+_of_thread = threading.local()  # `works` in a thread of `on_threads`
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -115,13 +117,28 @@ def for_chunks(n_rays: int, work: Callable[[int, int, int], Result]) -> list[Res
 def on_threads(work: Callable[..., Result], jobs: Sequence[tuple[Any, ...]]) -> list[Result]:
     """Return ``[work(*job) for job in jobs]``, computed on threads: for work that releases the interpreter lock.
 
-    There are `n_threads` at most, and one for each usable core.
+    There are `n_threads` at most, and one for each usable core. What a thread hands to this function is computed in it.
     """
     threads = min(n_threads(), len(jobs), len(os.sched_getaffinity(0)))
-    if threads <= 1:
+    if threads <= 1 or getattr(_of_thread, "works", False):
         return [work(*job) for job in jobs]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(lambda job: work(*job), jobs))
+    results: list[Any] = [None] * len(jobs)
+    numbers = iter(range(len(jobs)))
+
+    def take_jobs() -> None:
+        _of_thread.works = True
+        try:
+            for n in numbers:
+                results[n] = work(*jobs[n])
+        finally:
+            _of_thread.works = False
+
+    with ThreadPoolExecutor(threads - 1) as pool:  # this thread works, too: to start one takes time
+        others = [pool.submit(take_jobs) for _ in range(threads - 1)]
+        take_jobs()
+        for other in others:
+            other.result()
+    return results
 
 
 @compiled

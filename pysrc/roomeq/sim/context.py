@@ -215,7 +215,9 @@ def make_render_context(traced: "TracedSource", mics_m: ArrayLike, rngs: Sequenc
         check_positions(traced.scene.room, traced.source_pos_m, mic_m)
     length_s = traced.max_length_s if length_s is None else min(length_s, traced.max_length_s)
     room, speed_m_s, fs_hz = traced.scene.room, traced.scene.air.speed_m_s, traced.scene.fs_hz
-    images = [specular_paths(room, traced.source_pos_m, mic_m, ism_order) for mic_m in mics_m]
+    to_mic = partial(specular_paths, room, traced.source_pos_m, order=ism_order)
+    images = [to_mic(mics_m[0])]  # finds, in a mesh, the image sources of all
+    images += on_threads(to_mic, [(mic_m,) for mic_m in mics_m[1:]])
     n_samples = int(np.ceil(length_s * fs_hz)) + 1
     diffracted: list[Diffracted | None] = [None] * len(mics_m)
     if diffraction:
