@@ -56,7 +56,8 @@ _OFF_EDGE_M = 1e-3
 _CLEAR_M = 0.05
 """Of air before an edge: sound passes the slit below furniture, or behind it, less well than an edge in the free."""
 _OVERSAMPLING = 16
-_BINS_PER_SAMPLE = 8
+_GROWTH = 0.125  # length of a bin of time, relative to the time since the shortest path
+_SHORTEST_BIN, _LONGEST_BIN = 2.0 ** -11, 0.5  # samples
 _SINC_HALF = 32
 _WAY_HALF = 8  # samples over which the directions of sound are averaged, if there is any
 _ELSEWHERE = 1e-3  # weight of the sound that is further away
@@ -408,11 +409,11 @@ def _average() -> FloatArray:
 def _deposit(fine: Array, ways: Array, first: Number, bounds: Array, source: Array, mic: Array, wedge: Array,
              surfaces: Array, way: Array, to_samples: Number, direct_visible: bool) -> None:
     """Add all stretches to a fine grid of time: one branch on either side of the shortest path."""
-    sine, cosine, rows = np.empty(4), np.empty(4), np.zeros(4, dtype=np.int64)
+    sine, cosine = np.empty(4), np.empty(4)
     for n in range(len(wedge)):
         nu = np.pi / wedge[n]
         less, more = source[1, n] - mic[1, n], source[1, n] + mic[1, n]
-        rows[2], rows[3] = 1 + surfaces[n, 0], 1 + surfaces[n, 1]
+        signals = fine[0], fine[1 + surfaces[n, 0]], fine[1 + surfaces[n, 1]]
         for k, angle in enumerate((less, -less, -more, more)):
             half = 0.5 * nu * (np.pi + angle)
             sine[k], cosine[k] = np.sin(half), np.cos(half)
@@ -425,10 +426,10 @@ def _deposit(fine: Array, ways: Array, first: Number, bounds: Array, source: Arr
         product = source[0, n] * mic[0, n]
         low, high = bounds[0, n], bounds[1, n]
         if low < 0.0:
-            _branch(fine, ways, rows, way[n], first, max(0.0, -high), -low, nu, sine, cosine, squared, product,
+            _branch(signals, ways, way[n], first, max(0.0, -high), -low, nu, sine, cosine, squared, product,
                     to_samples)
         if high > 0.0:
-            _branch(fine, ways, rows, way[n], first, max(0.0, low), high, nu, sine, cosine, squared, product,
+            _branch(signals, ways, way[n], first, max(0.0, low), high, nu, sine, cosine, squared, product,
                     to_samples)
 
 
@@ -441,33 +442,47 @@ def _meets_face(source: Array, mic: Array, n: Number, wedge: Number, far: Number
 
 
 @compiled
-def _branch(fine: Array, ways: Array, rows: Array, way: Array, first: Number, low: Number, high: Number, nu: Number,
-            sine: Array, cosine: Array, squared: Number, product: Number, to_samples: Number) -> None:
-    """Integrate beta from eta = low to high by bins of time, the first ones short: beta may be steep there."""
+def _branch(signals: tuple[Array, Array, Array], ways: Array, way: Array, first: Number, low: Number, high: Number,
+            nu: Number, sine: Array, cosine: Array, squared: Number, product: Number, to_samples: Number) -> None:
+    """Integrate beta from eta = low to high by bins of time, the shorter the closer they are to the shortest path.
+
+    Beta is steepest there, and may be unbounded. What a bin has is spread over it evenly. `signals` are the rows of the
+    grid for the direct sound, and for the reflections at the first face and the second.
+    """
+    of_direct, of_near, of_far = signals
     apex_m = np.sqrt(squared + 4.0 * product)
     here = np.sqrt(squared + 4.0 * product * np.cosh(0.5 * low) ** 2)
     end_m = np.sqrt(squared + 4.0 * product * np.cosh(0.5 * high) ** 2)
     before = np.exp(nu * low)
-    width = 1.0 / (_BINS_PER_SAMPLE * to_samples)
-    step = width / 256.0
+    turns = np.empty(4)
     while here < end_m:
-        there = min(here + step, end_m)
+        width_m = min(max(_GROWTH * (here - apex_m), _SHORTEST_BIN / to_samples), _LONGEST_BIN / to_samples)
+        there = min(here + width_m, end_m)
         quotient = np.sqrt(max((there - apex_m) * (there + apex_m) / (4.0 * product), 0.0))  # sinh(eta / 2)
         after = (quotient + np.sqrt(1.0 + quotient * quotient)) ** (2.0 * nu)  # exp(nu eta)
         # one arctangent for the difference of two, of tanh(nu eta / 2) = (exp(nu eta) - 1) / (exp(nu eta) + 1)
         rise, sums, differences = 2.0 * (before - after), (before + 1.0) * (after + 1.0), (before - 1.0) * (after - 1.0)
-        middle = 0.5 * (here + there)
-        place = (middle * to_samples - first) * _OVERSAMPLING
-        index = int(place)
-        if index + 1 >= fine.shape[1]:
-            return
-        share, magnitude = place - index, 0.0
         for k in range(4):
-            turn = arc(rise * sine[k] * cosine[k], sums * sine[k] * sine[k] + differences * cosine[k] * cosine[k])
-            weight = turn / (8.0 * np.pi * np.pi * middle)
-            fine[rows[k], index] += weight * (1.0 - share)
-            fine[rows[k], index + 1] += weight * share
-            magnitude += abs(weight)
-        for k in range(len(ways)):
-            ways[k, index] += magnitude * way[k]
-        here, before, step = there, after, min(2.0 * step, width)
+            turns[k] = arc(rise * sine[k] * cosine[k],
+                           sums * sine[k] * sine[k] + differences * cosine[k] * cosine[k])
+        place, last = (here * to_samples - first) * _OVERSAMPLING, (there * to_samples - first) * _OVERSAMPLING
+        n_parts = 1 + int(last - place)
+        step, scale = (last - place) / n_parts, 1.0 / (4.0 * np.pi * np.pi * (here + there) * n_parts)
+        direct, near, far = scale * (turns[0] + turns[1]), scale * turns[2], scale * turns[3]
+        magnitude = scale * np.sum(np.abs(turns))
+        place += 0.5 * step
+        for _ in range(n_parts):
+            index = int(place)
+            if index + 1 >= len(of_direct):
+                return
+            share = place - index
+            of_direct[index] += direct * (1.0 - share)
+            of_direct[index + 1] += direct * share
+            of_near[index] += near * (1.0 - share)
+            of_near[index + 1] += near * share
+            of_far[index] += far * (1.0 - share)
+            of_far[index + 1] += far * share
+            for k in range(len(ways)):
+                ways[k, index] += magnitude * way[k]
+            place += step
+        here, before = there, after
