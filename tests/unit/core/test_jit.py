@@ -4,11 +4,13 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
 import roomeq
+from roomeq.core.jit import on_threads
 
 HELPER = """from roomeq.core.jit import compiled
 FACTOR = {factor}
@@ -84,3 +86,31 @@ def test_a_terminal_is_told_once_that_kernels_are_compiled(package):
             shown.append(b"")
         os.close(reader)
     assert b"kernels are compiled at the first use" in shown[0] and shown[1] == b""
+
+
+def test_jobs_are_shared_out_to_threads_once(monkeypatch):
+    """Results come in the order of the jobs; what a thread hands on is computed in it."""
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    together = threading.Barrier(2, timeout=10.0)
+
+    def within(n):
+        return n, threading.get_ident()
+
+    def work(n):
+        together.wait()
+        inner = on_threads(within, [(10 * n + k,) for k in range(3)])
+        return threading.get_ident(), [value for value, _ in inner], {thread for _, thread in inner}
+
+    for _ in range(2):
+        done = on_threads(work, [(1,), (2,)])
+        assert [values for _, values, _ in done] == [[10, 11, 12], [20, 21, 22]]
+        assert all(threads == {thread} for thread, _, threads in done)
+        assert done[0][0] != done[1][0]
+
+
+def test_an_error_in_a_thread_is_raised(monkeypatch):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
+    with pytest.raises(ZeroDivisionError):
+        on_threads(lambda n: 1 // n, [(n,) for n in range(8)])
+    assert on_threads(lambda n: 1 // n, [(1,), (2,)]) == [1, 0]
