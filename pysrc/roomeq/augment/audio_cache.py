@@ -32,6 +32,13 @@ class Excerpt(NamedTuple):
     start: int
 
 
+class WholeNoise(NamedTuple):
+    """Samples of a noise (float32), as recorded, and without rumble."""
+
+    samples: Array
+    filtered: Array
+
+
 class AudioCache:
     """RIRs and noises at one sample rate; the most recently used ones stay in memory, up to `CACHE_BYTES`."""
 
@@ -40,8 +47,8 @@ class AudioCache:
         self._cached: OrderedDict[str, tuple[Any, int]] = OrderedDict()
         self._bytes = 0
         self._lock = Lock()
-        total = sum(noise.length.frames for noise in (*pool.ambient, *pool.point) if noise.samples is None)
-        self._keep_noises = total * 4 < CACHE_BYTES // 2
+        total = sum(noise.length.frames for noise in (*pool.ambient, *pool.point))
+        self._keep_noises = 2 * total * 4 < CACHE_BYTES // 2  # as recorded and without rumble
 
     def rir(self, rir_id: str) -> ShiftedRir:
         """Return an RIR."""
@@ -64,40 +71,38 @@ class AudioCache:
         rir = None if draw.rir_id is None else self.rir(draw.rir_id).samples
         lead = 0 if rir is None else len(rir) - 1
         samples, start = self.excerpt(draw.noise, draw.offset_u, length + lead, lead)
-        samples = without_rumble(samples, self.fs_hz)
         return Excerpt(samples if rir is None else convolve(spectra_of(samples), rir, lead, length), start)
 
     def excerpt(self, noise: Noise, u: float, length: int, lead: int = 0) -> Excerpt:
-        """Return `length` samples of a noise; if all after the first `lead` are equal, one around a change.
+        """Return `length` samples of a noise without rumble; if all after the first `lead` are equal, others.
 
-        A sound that ends in the lead would reach the utterance as reverberation alone, which the SNR would amplify.
+        A sound that ends in the lead would reach the utterance as reverberation alone, which the SNR would amplify. The
+        others lie around a change.
 
         Raises
         ------
         ValueError
             The whole noise is silent, or in memory at a lower sample rate.
         """
-        whole = noise.samples
-        if whole is not None and noise.fs_hz != self.fs_hz:
-            whole = self._get(f"noise {noise.id}", lambda: _noise_at_rate(noise, self.fs_hz))
-        if whole is None:
-            frames, rate = noise.length
-            if rate == self.fs_hz and frames >= length and not self._keep_noises:
-                start = excerpt_start(u, frames, length)
-                samples = read_audio(noise.path, fs_hz=rate, start=start, stop=start + length, dtype="float32")
-                if sounds(samples[lead:]):
-                    return Excerpt(samples, start)
-            whole = self._get(f"noise {noise.id}", lambda: _read_whole(noise.path, self.fs_hz))
+        frames, rate = noise.length
+        if rate == self.fs_hz and frames >= length and not self._keep_noises:
+            start = excerpt_start(u, frames, length)
+            samples = (read_audio(noise.path, fs_hz=rate, start=start, stop=start + length, dtype="float32")
+                       if noise.samples is None else noise.samples[start:start + length])
+            if sounds(samples[lead:]):
+                return Excerpt(without_rumble(samples, self.fs_hz), start)
+        whole, filtered = self._get(f"noise {noise.id}", lambda: _read_whole(noise, self.fs_hz))
         start = excerpt_start(u, len(whole), length)
-        samples = whole[start:start + length] if len(whole) >= length else _repeated(whole, start, length, self.fs_hz)
-        if sounds(samples[lead:]):
+        if len(whole) >= length and sounds(whole[start + lead:start + length]):
+            return Excerpt(filtered[start:start + length], start)
+        if len(whole) < length and sounds((samples := loop(filtered, start, length))[lead:]):
             return Excerpt(samples, start)
         wanted = _audible_sample(whole, noise, u) - (length + lead) // 2  # in the middle of what follows the lead
         start = min(max(0, wanted), len(whole) - length)
         if start >= 0 and sounds(whole[start + lead:start + length]):
-            return Excerpt(whole[start:start + length], start)
+            return Excerpt(filtered[start:start + length], start)
         start = wanted % ring_length(len(whole))
-        return Excerpt(_repeated(whole, start, length, self.fs_hz), start)
+        return Excerpt(loop(filtered, start, length), start)
 
     def _get(self, key: str, read: Callable[[], tuple[Any, int]]) -> Any:
         """Return what `read` returned for a key (a value and its bytes), and drop what was not used for longest."""
@@ -110,11 +115,6 @@ class AudioCache:
                     self._bytes -= n_bytes
             self._cached.move_to_end(key)
             return self._cached[key][0]
-
-
-def _repeated(samples: Array, start: int, length: int, fs_hz: int) -> Array:
-    """Return a repeated noise without its constant offset and rumble, of which the cross-fades would make pulses."""
-    return loop(without_rumble(samples, fs_hz), start, length)
 
 
 def _audible_sample(samples: Array, noise: Noise, u: float) -> int:
@@ -143,18 +143,24 @@ def at_rate(rir: ShiftedRir, fs_hz: int, wanted_hz: int) -> ShiftedRir:
     return ShiftedRir(samples, round(rir.shift * wanted_hz / fs_hz))
 
 
-def _noise_at_rate(noise: Noise, wanted_hz: int) -> tuple[Array, int]:
+def _read_whole(noise: Noise, fs_hz: int) -> tuple[WholeNoise, int]:
+    """Return a noise at a sample rate, and what is kept of it in bytes."""
+    if noise.samples is None:
+        samples = read_audio(noise.path, fs_hz=fs_hz, dtype="float32")
+    else:
+        samples = noise.samples if noise.fs_hz == fs_hz else _noise_at_rate(noise, fs_hz)
+    filtered = without_rumble(samples, fs_hz)
+    return WholeNoise(samples, filtered), samples.nbytes + filtered.nbytes
+
+
+def _noise_at_rate(noise: Noise, wanted_hz: int) -> Array:
     import soxr
 
+    assert noise.samples is not None
     if wanted_hz > noise.fs_hz:
         raise ValueError(f"noises at {noise.fs_hz} Hz cannot serve audio at {wanted_hz} Hz, whose upper octaves they "
                          f"lack: give noises with fs={wanted_hz}, or resample the audio")
     samples = soxr.resample(noise.samples, noise.fs_hz, wanted_hz, quality="VHQ")
     if not samples.any():
         raise ValueError(f"{noise.id}: nothing of it is left at {wanted_hz} Hz: leave it out, or give a longer one")
-    return samples, samples.nbytes
-
-
-def _read_whole(path: Path, fs_hz: int) -> tuple[Array, int]:
-    samples = read_audio(path, fs_hz=fs_hz, dtype="float32")
-    return samples, samples.nbytes
+    return samples

@@ -39,7 +39,9 @@ class Noise:
 
     @cached_property
     def length(self) -> AudioLength:
-        """Length of the file, from its header."""
+        """Length of the samples, or of the file, from its header."""
+        if self.samples is not None:
+            return AudioLength(len(self.samples), self.fs_hz)
         info = audio_info(self.path)
         return AudioLength(info.frames, info.samplerate)
 

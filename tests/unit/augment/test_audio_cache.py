@@ -10,6 +10,8 @@ import pytest
 
 from roomeq.augment import audio_cache
 from roomeq.augment.audio_cache import AudioCache
+from roomeq.augment.draw import Noise
+from roomeq.augment.mix import without_rumble
 from roomeq.core.constants import FS_HZ
 
 LEAD, LENGTH = FS_HZ - 1, 3 * FS_HZ  # an RIR of 1 s, and an utterance of 2 s
@@ -20,7 +22,7 @@ def cache_of(*noises):
 
 
 def noise_of(samples):
-    return SimpleNamespace(id="bark", path=Path("bark.wav"), samples=samples.astype(np.float32), fs_hz=FS_HZ)
+    return Noise("bark", Path("bark.wav"), None, "point", samples.astype(np.float32))
 
 
 @pytest.mark.parametrize("before_s, after_s", [(0.0, 4.0), (2.0, 2.0), (4.0, 0.0), (0.0, 1.0), (0.0, 0.0)])
@@ -34,10 +36,21 @@ def test_excerpt_sounds_after_its_lead(before_s, after_s, offset):
         assert len(samples) == LENGTH and np.ptp(samples[LEAD:]) > 0 and 0 <= start < len(noise.samples)
 
 
-def test_excerpt_that_sounds_is_the_drawn_one():
-    noise = noise_of(np.random.default_rng(0).standard_normal(10 * FS_HZ))
+def test_excerpt_that_sounds_is_the_drawn_one_without_rumble():
+    noise = noise_of(0.1 + np.random.default_rng(0).standard_normal(10 * FS_HZ))
     samples, start = cache_of(noise).excerpt(noise, 0.5, LENGTH, lead=LEAD)
-    np.testing.assert_array_equal(samples, noise.samples[start:start + LENGTH])
+    np.testing.assert_array_equal(samples, without_rumble(noise.samples, FS_HZ)[start:start + LENGTH])
+
+
+def test_excerpt_of_a_long_noise_is_the_same_but_for_its_ends(monkeypatch):
+    """Of noises that are too long to be kept, the excerpt alone is filtered, whose filter is 0.1 s long."""
+    noise = noise_of(0.1 + np.random.default_rng(0).standard_normal(10 * FS_HZ))
+    kept, start = cache_of(noise).excerpt(noise, 0.5, LENGTH)
+    monkeypatch.setattr(audio_cache, "CACHE_BYTES", 1 << 20)
+    long, also_start = cache_of(noise).excerpt(noise, 0.5, LENGTH)
+    inside = slice(FS_HZ // 10, -FS_HZ // 10)
+    assert start == also_start and not np.array_equal(kept, long)
+    np.testing.assert_allclose(kept[inside], long[inside], atol=1e-2)
 
 
 def test_repeated_noise_has_no_pulses_of_its_offset():
