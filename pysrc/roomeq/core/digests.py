@@ -242,8 +242,8 @@ def audio_elsewhere(directory: Path, out: Path | None = None, *,
             _warn_of_indirect(directory, entries)
         names = {name for entry in entries for name in names_in_entry(entry)}
         found |= {name: Path(name) for name in sorted(names) if quick_look(Path(name))}
-    own = [os.path.realpath(folder) for folder in (directory, out or directory)]
-    found = {name: path for name, path in found.items() if not any(_is_among_files_below(path, one) for one in own)}
+    own = {os.path.realpath(folder) for folder in (directory, out or directory)}
+    found = {name: path for name, path in found.items() if not _is_among_files_below(path, own)}
     hashes = _hashes_of_audio(found.values())
     return {name: (path, content_hash) for (name, path), content_hash in zip(found.items(), hashes, strict=True)}
 
@@ -329,8 +329,11 @@ def _unquoted(command: str) -> list[str]:
     return words + [name for word in inner for name in _unquoted(word)]
 
 
-def files_below(directory: Path) -> list[Path]:
-    """Return all files below a directory except hidden ones, in a fixed order; a linked folder is entered once."""
+def files_below(directory: Path, left_out: str | None = None) -> list[Path]:
+    """Return all files below a directory except hidden ones, in a fixed order; a linked folder is entered once.
+
+    Folders of the name `left_out` are not entered.
+    """
     files, entered = [], set()
     for folder, folders, names in os.walk(directory, followlinks=True):
         real = os.path.realpath(folder)
@@ -338,16 +341,16 @@ def files_below(directory: Path) -> list[Path]:
             folders.clear()
             continue
         entered.add(real)
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        folders[:] = sorted(name for name in folders if not name.startswith(".") and name != left_out)
         paths = (Path(folder) / name for name in sorted(names) if not name.startswith("."))
         files += [path for path in paths if path.is_file()]
     return files
 
 
-def _is_among_files_below(path: Path, directory: str) -> bool:
-    """Tell whether `files_below` returns a file of a directory, given by its physical path; the file may be absent."""
+def _is_among_files_below(path: Path, directories: Iterable[str]) -> bool:
+    """Tell whether `files_below` returns a file of directories, given by physical paths; the file may be absent."""
     inside = str(physical(path))
-    return inside.startswith(f"{directory}/") and "/." not in inside[len(directory):]
+    return any(inside.startswith(f"{directory}/") and "/." not in inside[len(directory):] for directory in directories)
 
 
 @cache
@@ -388,7 +391,6 @@ def source_digest(*paths: Path) -> str:
     """Return a hash of source files, given one by one or as folders with all that belongs to their package."""
     total = hashlib.sha256()
     for path in paths:
-        for file in files_below(path) if path.is_dir() else [path]:
-            if "__pycache__" not in file.parts:
-                total.update(f"{file.relative_to(path)}\0".encode() + file.read_bytes())
+        for file in files_below(path, "__pycache__") if path.is_dir() else [path]:
+            total.update(f"{file.relative_to(path)}\0".encode() + file.read_bytes())
     return total.hexdigest()
