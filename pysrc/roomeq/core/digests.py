@@ -242,8 +242,8 @@ def audio_elsewhere(directory: Path, out: Path | None = None, *,
             _warn_of_indirect(directory, entries)
         names = {name for entry in entries for name in names_in_entry(entry)}
         found |= {name: Path(name) for name in sorted(names) if quick_look(Path(name))}
-    own = {os.path.realpath(folder) for folder in (directory, out or directory)}
-    found = {name: path for name, path in found.items() if not _is_among_files_below(path, own)}
+    own, resolve = {os.path.realpath(folder) for folder in (directory, out or directory)}, cache(os.path.realpath)
+    found = {name: path for name, path in found.items() if not _is_among_files_below(physical(path, resolve), own)}
     hashes = _hashes_of_audio(found.values())
     return {name: (path, content_hash) for (name, path), content_hash in zip(found.items(), hashes, strict=True)}
 
@@ -259,13 +259,13 @@ def _warn_of_indirect(directory: Path, entries: list[str]) -> None:
 
 def _audio_in_rows(directory: Path, tables: Iterable[str]) -> dict[str, Path]:
     """Return paths of the audio that rows of some of a directory's tables name, by that name."""
-    found = {}
+    found, resolve = {}, cache(os.path.realpath)
     for table in tables:
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
             # a row may hold characters at which str.splitlines would break it
             for line in filter(None, read_text(directory / table).split("\n")):
                 wav = json.loads(line)["wav"]
-                found[wav] = physical(directory / wav)
+                found[wav] = physical(directory / wav, resolve)
     return found
 
 
@@ -348,8 +348,8 @@ def files_below(directory: Path, left_out: str | None = None) -> list[Path]:
 
 
 def _is_among_files_below(path: Path, directories: Iterable[str]) -> bool:
-    """Tell whether `files_below` returns a file of directories, given by physical paths; the file may be absent."""
-    inside = str(physical(path))
+    """Tell whether `files_below` returns a file of directories, all given by physical paths; it may be absent."""
+    inside = str(path)
     return any(inside.startswith(f"{directory}/") and "/." not in inside[len(directory):] for directory in directories)
 
 

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -242,13 +242,13 @@ def user_cache() -> Path:
         return Path(os.devnull) / "roomeq"
 
 
-def physical(path: Path | str) -> Path:
+def physical(path: Path | str, resolve: Callable[[Path], str] = os.path.realpath) -> Path:
     """Return a path with the links above it resolved, as the system does: ``..`` leaves where a link leads to.
 
-    If the path is itself a link, it is kept.
+    If the path is itself a link, it is kept. For many paths at one time, `resolve` may remember folders.
     """
     path = Path(path)
-    return Path(os.path.realpath(path.parent)) / path.name
+    return Path(resolve(path.parent)) / path.name
 
 
 def output_path(out: Path | str) -> Path:
