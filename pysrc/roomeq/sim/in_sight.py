@@ -54,13 +54,10 @@ def _search(triangles: FloatArray, normals: FloatArray, apex: FloatArray, seen: 
             if hidden or other == face:
                 continue
             corner = triangles[other]
-            apart = max(_dot(normal, corner[0], corners[0]), _dot(normal, corner[1], corners[0]),
-                        _dot(normal, corner[2], corners[0])) <= _TOUCH_M
+            apart = _lie_apart(normal, apex, corners, corner) or _lie_apart(normals[other], apex, corners, corner)
             for side in range(3):
-                apart = apart or min(_dot(sides[side], corner[0], apex), _dot(sides[side], corner[1], apex),
-                                     _dot(sides[side], corner[2], apex)) >= -_TOUCH_M
-            hidden = not (apart or _lie_apart(normals[other], apex, corners, corner)
-                          or _edges_lie_apart(edges, apex, corners, corner))
+                apart = apart or _lie_apart(sides[side], apex, corners, corner)
+            hidden = not (apart or _edges_lie_apart(edges, apex, corners, corner))
         seen[face] = not hidden
 
 
